@@ -1,0 +1,67 @@
+"""The fixed image -> action contract: the only types that cross between models, perception, control and robots.
+
+numpy only. Nothing here knows ROS, MCP, torch or a plugin.
+"""
+
+from roboneuron.contract.action import (
+    ACTION_FIELDS,
+    ACTION_LABEL,
+    ACTION_SIZE,
+    Action,
+    ActionChunk,
+    apply_delta,
+    check_action_vector,
+)
+from roboneuron.contract.image import check_rgb8, frame_from_buffer
+from roboneuron.contract.motion import Hold, JointCommand, RobotState
+from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron.contract.profile import (
+    CameraProfile,
+    Endpoint,
+    GripperProfile,
+    JointLimits,
+    RobotProfile,
+    Workspace,
+)
+from roboneuron.contract.protocols import (
+    Acceleration,
+    Backend,
+    Controller,
+    PerceptionSource,
+    RobotDriver,
+    Runtime,
+    Topics,
+)
+
+__all__ = [
+    "ACTION_FIELDS",
+    "ACTION_LABEL",
+    "ACTION_SIZE",
+    "Acceleration",
+    "Action",
+    "ActionChunk",
+    "Backend",
+    "CameraCalibration",
+    "CameraProfile",
+    "Controller",
+    "Endpoint",
+    "Frame",
+    "GripperProfile",
+    "Hold",
+    "JointCommand",
+    "JointLimits",
+    "JointSample",
+    "Observation",
+    "PerceptionSource",
+    "Pose",
+    "RobotDriver",
+    "RobotProfile",
+    "RobotState",
+    "Runtime",
+    "Topics",
+    "Workspace",
+    "apply_delta",
+    "check_action_vector",
+    "check_rgb8",
+    "frame_from_buffer",
+]

@@ -1,0 +1,110 @@
+"""The action: a 7-vector that means the same whichever model produced it.
+
+dx dy dz [m] and rx ry rz [rad, rotation vector] move the TCP in the robot's base frame (p' = p + d, R' = exp(r) R);
+the last value is the absolute gripper opening, 0 closed .. 1 open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roboneuron.contract.observation import Pose
+from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
+from roboneuron.errors import InvalidInputError, UnsafeError
+
+F64 = NDArray[np.float64]
+
+ACTION_LABEL = "ee_delta_base"
+"""`layout.dim[0].label` of the action message."""
+ACTION_SIZE = 7
+"""Number of values in one action."""
+ACTION_FIELDS = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
+"""What each value is, in order, with its unit."""
+
+
+def check_action_vector(values: ArrayLike) -> F64:
+    """Return `values` as a float64 array of shape (7,).
+
+    Raises:
+        InvalidInputError: the size is not 7 or the gripper is outside [0, 1].
+        UnsafeError: a value is NaN or infinite.
+    """
+    vector = np.asarray(values, dtype=np.float64)
+    if vector.shape != (ACTION_SIZE,):
+        raise InvalidInputError(f"An action has shape {vector.shape}, expected ({ACTION_SIZE},): {ACTION_FIELDS}.")
+    finite = np.isfinite(vector)
+    if not finite.all():
+        bad = ACTION_FIELDS[int(np.argmin(finite))]
+        raise UnsafeError(f"An action holds a non-finite value at {bad} ({vector[int(np.argmin(finite))]}).")
+    if not 0.0 <= vector[6] <= 1.0:
+        raise InvalidInputError(f"gripper_open is {vector[6]:g}, expected a value in [0 closed, 1 open].")
+    return vector
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Action:
+    """One step: a TCP delta in the base frame and the absolute gripper opening.
+
+    Attributes:
+        translation_m: float64 (3,), base frame.
+        rotation_rad: float64 (3,), rotation vector in the base frame, applied on the left.
+        gripper_open: 0 closed .. 1 open.
+    """
+
+    translation_m: F64
+    rotation_rad: F64
+    gripper_open: float
+
+    @classmethod
+    def from_vector(cls, values: ArrayLike) -> Action:
+        """Build from 7 values in the order of ACTION_FIELDS; raises as `check_action_vector`."""
+        v = check_action_vector(values)
+        return cls(translation_m=v[:3].copy(), rotation_rad=v[3:6].copy(), gripper_open=float(v[6]))
+
+    def to_vector(self) -> F64:
+        """Return float64 (7,) in the order of ACTION_FIELDS."""
+        return np.concatenate([self.translation_m, self.rotation_rad, [self.gripper_open]])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ActionChunk:
+    """What one inference yields: H actions, played out one per `step_s`, the first at once.
+
+    Attributes:
+        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction.
+        step_s: time between two actions [s], > 0.
+        metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and get_status.
+        note: one short sentence on what the backend is doing, shown to the agent; may be empty.
+
+    Raises:
+        InvalidInputError, UnsafeError: as `check_action_vector`, or when the shape is not (H, 7).
+    """
+
+    actions: F64
+    step_s: float
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        actions = np.asarray(self.actions, dtype=np.float64)
+        if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != ACTION_SIZE:
+            raise InvalidInputError(f"A chunk has shape {actions.shape}, expected (H >= 1, {ACTION_SIZE}).")
+        for row in actions:
+            check_action_vector(row)
+        if not (np.isfinite(self.step_s) and self.step_s > 0):
+            raise InvalidInputError(f"step_s is {self.step_s}, expected a finite number of seconds > 0.")
+        object.__setattr__(self, "actions", actions)
+
+
+def apply_delta(pose: Pose, action: Action) -> Pose:
+    """Return the TCP pose after `action`: p' = p + d, R' = exp(r) R, both in the base frame."""
+    rotation = matrix_from_rotvec(action.rotation_rad) @ matrix_from_quaternion(pose.quaternion_xyzw)
+    return Pose(
+        position_m=pose.position_m + action.translation_m,
+        quaternion_xyzw=quaternion_from_matrix(rotation),
+        stamp_ns=pose.stamp_ns,
+    )

@@ -1,0 +1,59 @@
+"""What travels between controller and robot driver: measured state, joint commands, reasons to hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract.observation import JointSample
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JointCommand:
+    """Joint positions to reach after `duration_s`.
+
+    Attributes:
+        names: joint names, in the order of `position`; the gripper's joint may be among them.
+        position: float64 (n,), rad or m.
+        duration_s: time to get there from now [s], > 0.
+        residual_m, residual_rad: how far the position and rotation of the target remain from what was asked.
+    """
+
+    names: tuple[str, ...]
+    position: F64
+    duration_s: float
+    residual_m: float = 0.0
+    residual_rad: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hold:
+    """A controller's refusal: the robot is to hold its position.
+
+    Attributes:
+        code: stable word, counted in /diagnostics ("no_solution", "joint_jump", "unknown_joint" ...).
+        reason: one sentence with the numbers (residual, limit).
+    """
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RobotState:
+    """What a driver measured.
+
+    Attributes:
+        joints: all joints the driver reports, the gripper's included.
+        gripper_open: 0 closed .. 1 open; None without a gripper.
+        detail: facts worth showing in get_status, as text (for a simulation: where the objects are).
+    """
+
+    joints: JointSample
+    gripper_open: float | None = None
+    detail: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,107 @@
+"""What a backend sees: images, the instruction and proprioception, each with its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract.image import check_rgb8
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CameraCalibration:
+    """A pinhole camera and where it is mounted.
+
+    Attributes:
+        intrinsics: float64 (3, 3) in pixels; u to the right, v down, pixel centres at integers + 0.5.
+        mount: "base" (fixed beside the robot) or "tcp" (carried by the end effector).
+        T_mount_camera: float64 (4, 4), pose of the optical frame in the mount frame [m]; the optical frame looks
+            along +z with x right and y down (REP 103).
+    """
+
+    intrinsics: F64
+    mount: str
+    T_mount_camera: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Frame:
+    """One camera image.
+
+    Attributes:
+        camera: the camera's name on the robot ("front", "wrist").
+        image: uint8 (H, W, 3), RGB, row 0 on top.
+        stamp_ns: capture time, ROS clock [ns].
+        frame_id: optical frame's name, never empty.
+        calibration: None when the robot's profile has none for this camera.
+
+    Raises:
+        InvalidInputError: the image is not uint8 (H, W, 3).
+    """
+
+    camera: str
+    image: NDArray[np.uint8]
+    stamp_ns: int
+    frame_id: str
+    calibration: CameraCalibration | None = None
+
+    def __post_init__(self) -> None:
+        check_rgb8(self.image)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Pose:
+    """A TCP pose in the robot's base frame.
+
+    Attributes:
+        position_m: float64 (3,).
+        quaternion_xyzw: float64 (4,), unit length.
+        stamp_ns: measurement time, ROS clock [ns].
+    """
+
+    position_m: F64
+    quaternion_xyzw: F64
+    stamp_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JointSample:
+    """Measured joints, by name.
+
+    Attributes:
+        names: joint names, in the order of the arrays.
+        position: float64 (n,), rad (revolute) or m (prismatic).
+        velocity: float64 (n,), rad/s or m/s; None when not measured.
+        stamp_ns: measurement time, ROS clock [ns].
+    """
+
+    names: tuple[str, ...]
+    position: F64
+    velocity: F64 | None = None
+    stamp_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Observation:
+    """Everything a backend may use for one prediction.
+
+    Attributes:
+        frames: newest frame by *role* ("primary", "wrist"), exactly the roles that the backend's descriptor names.
+        instruction: what to do, as the agent gave it; never empty.
+        joints: measured joints, or None when the backend's descriptor does not ask for state.
+        ee_pose: measured TCP pose in the base frame, or None likewise.
+        gripper_open: measured opening, 0 closed .. 1 open, or None likewise.
+        stamp_ns: capture time of the oldest frame, ROS clock [ns].
+    """
+
+    frames: Mapping[str, Frame]
+    instruction: str
+    joints: JointSample | None = None
+    ee_pose: Pose | None = None
+    gripper_open: float | None = None
+    stamp_ns: int = 0

@@ -1,0 +1,143 @@
+"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract.observation import CameraCalibration
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JointLimits:
+    """Official limits of the arm's joints; arrays are float64 (n,) in the order of `RobotProfile.arm_joints`.
+
+    Attributes:
+        lower, upper: position [rad or m].
+        velocity: [rad/s or m/s].
+        acceleration: [rad/s^2 or m/s^2].
+        effort: [Nm or N].
+    """
+
+    lower: F64
+    upper: F64
+    velocity: F64
+    acceleration: F64
+    effort: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GripperProfile:
+    """A gripper driven by one joint whose position is proportional to the opening.
+
+    Attributes:
+        joint: name of the commanded joint.
+        closed_position, open_position: joint position [m or rad] at opening 0 and 1.
+    """
+
+    joint: str
+    closed_position: float
+    open_position: float
+
+    def to_position(self, gripper_open: float) -> float:
+        """Opening 0..1 -> joint position [m or rad]."""
+        return self.closed_position + gripper_open * (self.open_position - self.closed_position)
+
+    def to_opening(self, position: float) -> float:
+        """Joint position [m or rad] -> opening, clipped to 0..1."""
+        span = self.open_position - self.closed_position
+        return min(1.0, max(0.0, (position - self.closed_position) / span))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CameraProfile:
+    """A camera that the robot carries or looks at.
+
+    Attributes:
+        name: as in the topic `camera/<name>/image`.
+        role: what a backend calls it: "primary", "wrist".
+        frame_id: name of the optical frame.
+        width, height: nominal size [px].
+        calibration: None when it was never calibrated.
+    """
+
+    name: str
+    role: str
+    frame_id: str
+    width: int
+    height: int
+    calibration: CameraCalibration | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Workspace:
+    """Axis-aligned box in the base frame that the TCP must stay in; float64 (3,) [m]."""
+
+    lower_m: F64
+    upper_m: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Endpoint:
+    """A ROS interface of the robot that the agent may use directly.
+
+    Attributes:
+        name: short snake_case noun; tools are called `publish_<name>`, `read_<name>`, `call_<name>` ...
+        kind: "publish", "read", "service" or "action": what the agent may do.
+        topic: relative to the robot's namespace, or absolute.
+        type: "package/msg/Name", "package/srv/Name" or "package/action/Name".
+        summary: one line for the agent.
+        bounds: dotted field path -> (lowest, highest) value, in the field's own unit.
+        rate_hz: most calls per second; 0 means no bound.
+        stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
+        joint_limited: check positions and velocities against the profile's joint limits.
+    """
+
+    name: str
+    kind: str
+    topic: str
+    type: str
+    summary: str
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rate_hz: float = 0.0
+    stop_message: str = ""
+    joint_limited: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RobotProfile:
+    """Facts of one robot model.
+
+    Attributes:
+        name: as in the descriptor.
+        urdf: the robot description as XML text; empty for robots without kinematics (mobile bases).
+        base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of `base_link`.
+        arm_joints: names of the joints that the controller moves, base to tip.
+        limits: None for robots without arm joints.
+        home_rad: float64 (n,), a posture that is safe to start from; None likewise.
+        gripper: None without one.
+        cameras: what the robot sees with.
+        workspace: None when nothing but the joint limits bounds the TCP.
+        endpoints: what the agent may use on the direct path.
+    """
+
+    name: str
+    urdf: str = ""
+    base_link: str = ""
+    tcp_link: str = ""
+    arm_joints: tuple[str, ...] = ()
+    limits: JointLimits | None = None
+    home_rad: F64 | None = None
+    gripper: GripperProfile | None = None
+    cameras: tuple[CameraProfile, ...] = ()
+    workspace: Workspace | None = None
+    endpoints: tuple[Endpoint, ...] = ()
+
+    def camera(self, name: str) -> CameraProfile | None:
+        """The camera of that name, or None."""
+        return next((c for c in self.cameras if c.name == name), None)

@@ -1,0 +1,166 @@
+"""How plugins behave: small protocols, pure constructors, `load`/`open` do the work, `close` is idempotent.
+
+Each class named by a descriptor's `target` is called as `target(config, ...)` with the arguments its protocol names;
+`config` is an instance of the pydantic model that the descriptor's `config` names (or None when it names none).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from roboneuron.contract.action import Action, ActionChunk
+from roboneuron.contract.motion import Hold, JointCommand, RobotState
+from roboneuron.contract.observation import Frame, JointSample, Observation, Pose
+
+M = TypeVar("M")
+
+
+class Topics(Protocol):
+    """What the host process lends a plugin of the ROS graph: nothing but topics under the robot's namespace.
+
+    Handed to perception sources and robot drivers. Message classes are ordinary rosidl classes; callbacks run on the
+    host's executor thread and must return quickly.
+    """
+
+    def subscribe(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> None:
+        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host closes."""
+        ...
+
+    def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
+        """Return a function that publishes on `topic` (reliable, depth 1); callable from any thread."""
+        ...
+
+    def now_ns(self) -> int:
+        """ROS time [ns], for stamps."""
+        ...
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """Image -> action. Built as `target(config, runtime=..., acceleration=...)`; used from one worker thread.
+
+    `runtime` and `acceleration` are None unless the descriptor declares that it takes them.
+    """
+
+    def load(self) -> None:
+        """Read weights, warm up. Called once, during `configure`, before the first `predict`.
+
+        Raises:
+            CheckpointError, ConfigurationError, MissingDependencyError: the process reports it and stays unconfigured.
+        """
+        ...
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Return what to do next, already in the contract's units and frame.
+
+        Raises:
+            UngroundedError: cannot act on this observation; nothing is published and the status says why.
+            UnsafeError: the model produced non-finite values; nothing is published.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Forget the episode: called on activate and whenever the instruction changes."""
+        ...
+
+    def close(self) -> None:
+        """Release everything; may be called twice and before `load`."""
+        ...
+
+
+@runtime_checkable
+class Runtime(Protocol):
+    """Executes a model family's decoder for a backend, in process or served. Built as `target(config)`.
+
+    What `load` takes and what requests look like is agreed per model family between the packages concerned;
+    the descriptor's `families` names them and planning matches them.
+    """
+
+    def load(self, model: Any, acceleration: Acceleration | None = None) -> None:
+        """Take the model (in process: read its weights; served: reach the server and check what it serves)."""
+        ...
+
+    def run(self, request: Any) -> Any:
+        """Execute one request of the family; blocks until the answer or the request's deadline."""
+        ...
+
+    def abort(self) -> None:
+        """Give up a `run` in progress, from another thread; harmless when there is none."""
+        ...
+
+    def close(self) -> None:
+        """Release everything; may be called twice and before `load`."""
+        ...
+
+
+@runtime_checkable
+class Acceleration(Protocol):
+    """A named preset that changes how a loaded model is executed. Built as `target(config)`."""
+
+    def apply(self, decoder: Any) -> None:
+        """Install the preset into a decoder of a runtime that has the capability the descriptor requires."""
+        ...
+
+
+@runtime_checkable
+class PerceptionSource(Protocol):
+    """Produces camera frames. Built as `target(config, topics, cameras)`: `cameras` are the profiles to serve."""
+
+    def open(self) -> None:
+        """Acquire the device. Raises NotReadyError or ConfigurationError with what to do."""
+        ...
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the next frame, of any of the cameras. Raises NotReadyError when none came within `timeout_s`."""
+        ...
+
+    def close(self) -> None:
+        """Release the device; may be called twice and before `open`."""
+        ...
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """Pure computation from action and measured joints to a joint command. Built as `target(config, profile)`."""
+
+    def load(self) -> None:
+        """Parse the robot description. Raises ConfigurationError."""
+        ...
+
+    def forward(self, joints: JointSample) -> Pose:
+        """TCP pose in the base frame for measured joints. Raises UnsafeError for missing or non-finite joints."""
+        ...
+
+    def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
+        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad numbers."""
+        ...
+
+    def close(self) -> None:
+        """Release everything; may be called twice."""
+        ...
+
+
+@runtime_checkable
+class RobotDriver(Protocol):
+    """Moves one robot. Built as `target(config, profile, topics)`; called from the robot module's threads."""
+
+    def open(self) -> None:
+        """Connect or start the simulation. Raises NotReadyError or ConfigurationError."""
+        ...
+
+    def read(self) -> RobotState:
+        """Return the newest measured state without blocking for more than a millisecond."""
+        ...
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Start moving; returns what was really sent after the driver's own limits. Raises InvalidInputError."""
+        ...
+
+    def hold(self) -> None:
+        """Stop where the robot is and stay there."""
+        ...
+
+    def close(self) -> None:
+        """Stop and disconnect; may be called twice and before `open`."""
+        ...

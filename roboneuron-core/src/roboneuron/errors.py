@@ -1,0 +1,109 @@
+"""Every exception RoboNeuron raises on purpose: a code, what happened, what to do.
+
+There is one class per reaction of the caller, not one per place: whoever catches an error wants to know whether to fix
+the configuration, install something, correct an argument, retry, stop the robot, or report a bug.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class RoboNeuronError(Exception):
+    """Base of all deliberate failures.
+
+    Attributes:
+        code: stable machine-readable word, the same for every instance of a class.
+        message: one sentence: which one, what came, what was expected.
+        hint: one sentence that says what to do; empty when the message already does.
+    """
+
+    code: ClassVar[str] = "error"
+
+    def __init__(self, message: str, *, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message} {self.hint}".strip() if self.hint else self.message
+
+
+class ConfigurationError(RoboNeuronError):
+    """The configuration or a command line names something that cannot be; fix it and start again."""
+
+    code = "configuration"
+
+
+class PlanningError(ConfigurationError):
+    """The chosen backend, runtime, acceleration, cameras and robot do not fit together; choose another combination."""
+
+    code = "unfit_combination"
+
+
+class CheckpointError(ConfigurationError):
+    """A model checkpoint is missing, truncated, of another family, or holds values that cannot be used."""
+
+    code = "checkpoint"
+
+
+class MissingDependencyError(RoboNeuronError):
+    """Something must be installed; the hint holds the command."""
+
+    code = "missing_dependency"
+
+
+class InvalidInputError(RoboNeuronError):
+    """An argument or a message is of the wrong type, shape or range; correct it and call again.
+
+    Attributes:
+        path: dotted path of the offending field inside the argument, empty for the whole.
+    """
+
+    code = "invalid_input"
+
+    def __init__(self, message: str, *, hint: str = "", path: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.path = path
+
+
+class StateError(RoboNeuronError):
+    """The call is valid but not now (a second start, a stop of what is not running); look at the status first."""
+
+    code = "wrong_state"
+
+
+class NotReadyError(RoboNeuronError):
+    """Something did not become ready in time (no image, no joint state, no answer); mend what is named and retry."""
+
+    code = "not_ready"
+
+
+class RefusedError(RoboNeuronError):
+    """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing was sent."""
+
+    code = "refused"
+
+
+class UngroundedError(RoboNeuronError):
+    """A backend cannot act on what it sees or was told; no action is produced, the robot holds."""
+
+    code = "ungrounded"
+
+
+class UnsafeError(RoboNeuronError):
+    """Going on could move the robot wrongly (non-finite values, a lost joint); stop the robot."""
+
+    code = "unsafe"
+
+
+class PluginError(RoboNeuronError):
+    """A plugin broke its contract; report it to the plugin's author."""
+
+    code = "plugin_contract"
+
+
+class InternalError(RoboNeuronError):
+    """A defect of RoboNeuron itself; report it with the log."""
+
+    code = "internal"

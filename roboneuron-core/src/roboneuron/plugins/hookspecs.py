@@ -1,0 +1,60 @@
+"""The six hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen descriptors.
+
+A plugin is a distribution with an entry point in the group `roboneuron` that points at a module holding any of these
+functions, decorated with `roboneuron.plugins.markers.hookimpl`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookspec
+from roboneuron.plugins.specs import (
+    AccelerationSpec,
+    BackendSpec,
+    ControllerSpec,
+    PerceptionSpec,
+    RobotSpec,
+    RuntimeSpec,
+)
+
+
+@hookspec
+def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
+    """Offer policies: image and instruction to actions. `target` follows the protocol `Backend`."""
+
+
+@hookspec
+def roboneuron_runtimes() -> Sequence[RuntimeSpec]:  # type: ignore[empty-body]
+    """Offer engines that execute decoders for backends. `target` follows the protocol `Runtime`."""
+
+
+@hookspec
+def roboneuron_accelerations() -> Sequence[AccelerationSpec]:  # type: ignore[empty-body]
+    """Offer named presets that change how a loaded model is executed. `target` follows the protocol `Acceleration`."""
+
+
+@hookspec
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-body]
+    """Offer sources of camera frames. `target` follows the protocol `PerceptionSource`."""
+
+
+@hookspec
+def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-body]
+    """Offer controllers from actions to joint commands. `target` follows the protocol `Controller`."""
+
+
+@hookspec
+def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
+    """Offer robots. `target` returns the `RobotProfile`; each driver's `target` follows the protocol `RobotDriver`."""
+
+
+HOOKS = {
+    "backend": "roboneuron_backends",
+    "runtime": "roboneuron_runtimes",
+    "acceleration": "roboneuron_accelerations",
+    "perception": "roboneuron_perceptions",
+    "controller": "roboneuron_controllers",
+    "robot": "roboneuron_robots",
+}
+"""Hook name by descriptor kind."""

@@ -1,0 +1,218 @@
+"""Descriptors: what a plugin offers, said with the standard library alone, so that it is listed without being loaded.
+
+`target` and `config` are written "package.module:attribute". `target` is called with the arguments that the protocol of
+its kind names (see `roboneuron.contract.protocols`); `config` is a pydantic model class whose fields are the options a
+user may set under `[plugins.<name>]`, or None when there are none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+CONTRACT_VERSION = 1
+"""Raised when a descriptor or protocol changes in a way that old plugins cannot follow."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirement:
+    """An importable module a plugin needs beyond its own package.
+
+    Attributes:
+        module: top-level import name, looked up without importing it.
+        install: the command that provides it, shown to the user.
+    """
+
+    module: str
+    install: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ActionSpace:
+    """What a model family itself produces, before the backend converts it to the contract's 7-vector.
+
+    Attributes:
+        width: values per step and arm set; planning refuses what the robot's `action_widths` lacks.
+        translation: unit of the translation ("m", "normalized", "checkpoint" when each checkpoint has its own).
+        rotation: "rotvec", "rpy", "joint", "checkpoint".
+        frame: "base", "tcp", "checkpoint".
+        gripper: "open_fraction", "closed_fraction", "signed_close", "checkpoint".
+        horizon: actions per inference.
+        step_s: nominal time between two actions [s]; 0 when the checkpoint's profile says it.
+    """
+
+    width: int = 7
+    translation: str = "m"
+    rotation: str = "rotvec"
+    frame: str = "base"
+    gripper: str = "open_fraction"
+    horizon: int = 1
+    step_s: float = 0.1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Spec:
+    """What every descriptor has.
+
+    Attributes:
+        name: unique within its kind; lower-case letters, digits and hyphens.
+        summary: one line for tables and for the agent's choices.
+        target: "module:attribute" of the class.
+        config: "module:attribute" of the pydantic options model, or None.
+        requires: modules that must be importable before `target` is.
+        contract: the CONTRACT_VERSION the plugin was written for.
+    """
+
+    kind: ClassVar[str] = ""
+
+    name: str
+    summary: str
+    target: str
+    config: str | None = None
+    requires: tuple[Requirement, ...] = ()
+    contract: int = CONTRACT_VERSION
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BackendSpec(Spec):
+    """A policy: image and instruction to actions.
+
+    Attributes:
+        cameras: roles it needs a frame of, in order.
+        optional_cameras: roles it uses when the robot has them.
+        needs_state: it reads joints, TCP pose and gripper of the observation.
+        needs_checkpoint: `start_inference` must name a checkpoint directory (a pydantic field `checkpoint`).
+        action_space: what the model produces itself.
+        family: model family, matched with runtimes and accelerations; empty when it takes neither.
+        runtimes_required: it cannot run without a runtime of its family.
+        default_runtime: runtime used when the user names none; empty for none.
+        capabilities: words accelerations may require of it.
+    """
+
+    kind: ClassVar[str] = "backend"
+
+    cameras: tuple[str, ...] = ("primary",)
+    optional_cameras: tuple[str, ...] = ()
+    needs_state: bool = False
+    needs_checkpoint: bool = False
+    action_space: ActionSpace = ActionSpace()
+    family: str = ""
+    runtimes_required: bool = False
+    default_runtime: str = ""
+    capabilities: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RuntimeSpec(Spec):
+    """Executes decoders for backends.
+
+    Attributes:
+        families: model families it can execute.
+        capabilities: words accelerations may require of it ("visual-token-pruning").
+        served: the model runs in another process or host.
+    """
+
+    kind: ClassVar[str] = "runtime"
+
+    families: tuple[str, ...] = ()
+    capabilities: tuple[str, ...] = ()
+    served: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AccelerationSpec(Spec):
+    """A named preset applied to a loaded model.
+
+    Attributes:
+        families: model families it knows.
+        capability: the word a runtime must offer.
+    """
+
+    kind: ClassVar[str] = "acceleration"
+
+    families: tuple[str, ...] = ()
+    capability: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PerceptionSpec(Spec):
+    """A source of camera frames.
+
+    Attributes:
+        robots: names of the robots it can serve; empty for any.
+        drivers: robot drivers it needs ("simulated" for a simulator's cameras); empty for any.
+    """
+
+    kind: ClassVar[str] = "perception"
+
+    robots: tuple[str, ...] = ()
+    drivers: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ControllerSpec(Spec):
+    """Turns actions into joint commands.
+
+    Attributes:
+        robot_kinds: kinds of robot it can move ("arm", "base").
+    """
+
+    kind: ClassVar[str] = "controller"
+
+    robot_kinds: tuple[str, ...] = ("arm",)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CameraSpec:
+    """A camera a robot has, as far as planning must know: its name in topics and its role for backends."""
+
+    name: str
+    role: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DriverSpec:
+    """One way to move a robot.
+
+    Attributes:
+        name: "simulated", "hardware" ...
+        summary: one line.
+        target: "module:attribute" of the RobotDriver class.
+        config: "module:attribute" of its pydantic options model, or None.
+        requires: modules it needs beyond the robot package's own.
+    """
+
+    name: str
+    summary: str
+    target: str
+    config: str | None = None
+    requires: tuple[Requirement, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobotSpec(Spec):
+    """A robot model; `target` is a function without arguments that returns its `RobotProfile`.
+
+    Attributes:
+        robot_kind: "arm" or "base".
+        drivers: at least one.
+        cameras: what it sees with.
+        action_widths: widths of model action spaces it can execute (7 for one arm and gripper); empty for bases.
+    """
+
+    kind: ClassVar[str] = "robot"
+
+    robot_kind: str = "arm"
+    drivers: tuple[DriverSpec, ...] = ()
+    cameras: tuple[CameraSpec, ...] = ()
+    action_widths: tuple[int, ...] = (7,)
+
+    def driver(self, name: str) -> DriverSpec | None:
+        """The driver of that name, or None."""
+        return next((d for d in self.drivers if d.name == name), None)
+
+
+KINDS: dict[str, type[Spec]] = {
+    spec.kind: spec for spec in (BackendSpec, RuntimeSpec, AccelerationSpec, PerceptionSpec, ControllerSpec, RobotSpec)
+}
+"""Descriptor class by kind."""
