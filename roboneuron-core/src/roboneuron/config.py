@@ -1,4 +1,4 @@
-"""roboneuron.toml: read once at the border into frozen pydantic models; an unknown key is an error with a suggestion."""
+"""roboneuron.toml, read once at the border into frozen models; an unknown key is an error with a suggestion."""
 
 from __future__ import annotations
 
