@@ -38,9 +38,9 @@ class ModuleSettings(BaseModel):
 class StatusKey:
     """Keys of the KeyValue pairs in a module's DiagnosticStatus (`hardware_id` holds the process id).
 
-    READY is "true" once the module has proved that it works: robot and perception have published a first state or image,
-    control has received a first joint state and published `ee_pose`, inference has received every input it needs and,
-    when it has an instruction, published a first action. Until then WAITING_FOR names what is missing.
+    READY is "true" once the module has proved that it works: robot and perception have published a first state or
+    image, control has received a first joint state and published `ee_pose`, inference has received every input it needs
+    and, when it has an instruction, published a first action. Until then WAITING_FOR names what is missing.
     ERROR_* describe the newest failure and are empty again once the module works; ERROR_COUNT never goes down.
     """
 

@@ -1,0 +1,73 @@
+"""Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it is.
+
+Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with LD_LIBRARY_PATH and marks
+that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left unset by it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import MutableMapping
+from importlib.resources import files
+from pathlib import Path
+
+from roboneuron.errors import ConfigurationError
+
+BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+
+
+def fast_dds_profile() -> Path:
+    """The shipped Fast DDS profile: shared memory with a 32 MiB segment, and UDP."""
+    return Path(str(files("roboneuron").joinpath("data/fastdds.xml")))
+
+
+def state_directory(configured: str | None = None) -> Path:
+    """Where logs, the emergency-stop latch and the audit live: `configured`, else the XDG state directory."""
+    if configured:
+        return Path(configured).expanduser()
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "roboneuron"
+
+
+def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_directory: Path) -> None:
+    """Fill in what is unset.
+
+    Args:
+        environment: changed in place.
+        prefix: the virtual environment that holds the ROS wheels.
+        log_directory: where rcl writes its logs.
+
+    Raises:
+        ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment.
+    """
+    foreign = [p for p in environment.get("AMENT_PREFIX_PATH", "").split(":") if p and Path(p) != Path(prefix)]
+    distribution = environment.get("ROS_DISTRO")
+    if distribution and any(p.startswith("/opt/ros") for p in foreign):
+        raise ConfigurationError(
+            f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels of {prefix}.",
+            hint="Start from a shell without `source /opt/ros/.../setup.bash`.",
+        )
+    environment.setdefault("AMENT_PREFIX_PATH", prefix)
+    if not any(k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")):
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not any(k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")):
+        environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
+    environment.setdefault("ROS_LOG_DIR", str(log_directory))
+
+
+def prepare_environment(log_directory: Path | None = None) -> None:
+    """Set this process's defaults; call it before rclpy is imported. Raises as `set_defaults`."""
+    set_defaults(os.environ, prefix=sys.prefix, log_directory=log_directory or state_directory() / "log" / "ros")
+
+
+def module_environment(python: str | None) -> dict[str, str]:
+    """Environment for a module process run by `python` (None: this interpreter).
+
+    Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its bootstrapper runs.
+    """
+    environment = dict(os.environ)
+    if python is not None and Path(python).absolute() != Path(sys.executable).absolute():
+        for key in (BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "PYTHONPATH"):
+            environment.pop(key, None)
+    return environment

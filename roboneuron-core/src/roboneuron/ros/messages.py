@@ -1,0 +1,176 @@
+"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64 field as garbage."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from roboneuron.contract.action import ACTION_LABEL, ACTION_SIZE
+from roboneuron.contract.image import frame_from_buffer
+from roboneuron.contract.motion import JointCommand
+from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
+from roboneuron.errors import InvalidInputError
+
+NS_PER_S = 1_000_000_000
+F64 = NDArray[np.float64]
+
+
+def to_time(stamp_ns: int) -> Time:
+    """Nanoseconds -> builtin_interfaces/Time."""
+    return Time(sec=int(stamp_ns // NS_PER_S), nanosec=int(stamp_ns % NS_PER_S))
+
+
+def to_ns(stamp: Time) -> int:
+    """builtin_interfaces/Time -> nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def to_image(frame: Frame) -> Image:
+    """Frame -> sensor_msgs/Image, rgb8. One copy of the pixels (0.1 ms at 640x480)."""
+    height, width = frame.image.shape[:2]
+    message = Image(height=height, width=width, encoding="rgb8", is_bigendian=0, step=3 * width)
+    message.header.stamp = to_time(frame.stamp_ns)
+    message.header.frame_id = frame.frame_id
+    data = array.array("B")
+    data.frombytes(np.ascontiguousarray(frame.image).data.cast("B"))
+    message.data = data
+    return message
+
+
+def frame_from_message(message: Image, camera: str, calibration: CameraCalibration | None = None) -> Frame:
+    """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
+
+    Raises:
+        InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
+    """
+    stamp_ns = to_ns(message.header.stamp)
+    if stamp_ns <= 0:
+        raise InvalidInputError(f"An image of camera {camera!r} carries no capture time in header.stamp.")
+    image = frame_from_buffer(
+        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+    )
+    return Frame(
+        camera=camera,
+        image=image,
+        stamp_ns=stamp_ns,
+        frame_id=message.header.frame_id or camera,
+        calibration=calibration,
+    )
+
+
+def to_action_message(vector: F64) -> Float64MultiArray:
+    """Action vector (7,) -> std_msgs/Float64MultiArray with the contract's label."""
+    message = Float64MultiArray()
+    message.layout.dim = [MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)]
+    message.data = array.array("d", vector.tolist())
+    return message
+
+
+def vector_from_action_message(message: Float64MultiArray) -> F64:
+    """std_msgs/Float64MultiArray -> float64 (n,), unchecked in value.
+
+    Raises:
+        InvalidInputError: the layout names something else than the contract's action.
+    """
+    dims = message.layout.dim
+    if dims and dims[0].label != ACTION_LABEL:
+        raise InvalidInputError(f"An action is labelled {dims[0].label!r}, expected {ACTION_LABEL!r}.")
+    return np.array(message.data, dtype=np.float64)
+
+
+def to_joint_state(joints: JointSample) -> JointState:
+    """JointSample -> sensor_msgs/JointState."""
+    message = JointState(name=list(joints.names))
+    message.header.stamp = to_time(joints.stamp_ns)
+    message.position = array.array("d", joints.position.tolist())
+    if joints.velocity is not None:
+        message.velocity = array.array("d", joints.velocity.tolist())
+    return message
+
+
+def joints_from_message(message: JointState) -> JointSample:
+    """sensor_msgs/JointState -> JointSample.
+
+    Raises:
+        InvalidInputError: names and positions differ in number, a name comes twice, or velocities differ in number.
+    """
+    names = tuple(message.name)
+    if len(names) != len(message.position) or len(set(names)) != len(names):
+        raise InvalidInputError(
+            f"A joint state has {len(names)} names ({len(set(names))} different) and {len(message.position)} positions."
+        )
+    if message.velocity and len(message.velocity) != len(names):
+        raise InvalidInputError(f"A joint state has {len(names)} names and {len(message.velocity)} velocities.")
+    return JointSample(
+        names=names,
+        position=np.array(message.position, dtype=np.float64),
+        velocity=np.array(message.velocity, dtype=np.float64) if message.velocity else None,
+        stamp_ns=to_ns(message.header.stamp),
+    )
+
+
+def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
+    """Pose -> geometry_msgs/PoseStamped in `frame_id`."""
+    message = PoseStamped()
+    message.header.stamp = to_time(pose.stamp_ns)
+    message.header.frame_id = frame_id
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = (float(v) for v in pose.position_m)
+    orientation.x, orientation.y, orientation.z, orientation.w = (float(v) for v in pose.quaternion_xyzw)
+    return message
+
+
+def pose_from_message(message: PoseStamped) -> Pose:
+    """geometry_msgs/PoseStamped -> Pose."""
+    p, q = message.pose.position, message.pose.orientation
+    return Pose(
+        position_m=np.array([p.x, p.y, p.z]),
+        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
+        stamp_ns=to_ns(message.header.stamp),
+    )
+
+
+def to_joint_trajectory(command: JointCommand) -> JointTrajectory:
+    """JointCommand -> trajectory_msgs/JointTrajectory with one point, to start at once."""
+    seconds = int(command.duration_s)
+    nanoseconds = round((command.duration_s - seconds) * NS_PER_S)
+    point = JointTrajectoryPoint(time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1)))
+    point.positions = array.array("d", command.position.tolist())
+    return JointTrajectory(joint_names=list(command.names), points=[point])
+
+
+def commands_from_trajectory(message: JointTrajectory) -> list[JointCommand]:
+    """trajectory_msgs/JointTrajectory -> one command per point; `duration_s` is the time since the point before.
+
+    Raises:
+        InvalidInputError: no points, sizes that do not match, non-finite positions, or times that do not increase.
+    """
+    names = tuple(message.joint_names)
+    if not message.points or not names:
+        raise InvalidInputError("A joint trajectory has no points or no joint names.")
+    commands: list[JointCommand] = []
+    elapsed_s = 0.0
+    for index, point in enumerate(message.points):
+        time_s = point.time_from_start.sec + point.time_from_start.nanosec / NS_PER_S
+        position = np.array(point.positions, dtype=np.float64)
+        if position.shape != (len(names),):
+            raise InvalidInputError(f"Point {index} has {position.size} positions for {len(names)} joints.")
+        if not np.isfinite(position).all():
+            raise InvalidInputError(f"Point {index} holds a non-finite position.")
+        if time_s <= elapsed_s:
+            raise InvalidInputError(f"time_from_start of point {index} is {time_s:g} s, not after {elapsed_s:g} s.")
+        commands.append(JointCommand(names=names, position=position, duration_s=time_s - elapsed_s))
+        elapsed_s = time_s
+    return commands
+
+
+def to_joint_command_state(command: JointCommand, stamp_ns: int) -> JointState:
+    """JointCommand -> sensor_msgs/JointState, for drivers that execute positions."""
+    return to_joint_state(JointSample(names=command.names, position=command.position, stamp_ns=stamp_ns))

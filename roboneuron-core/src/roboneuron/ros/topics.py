@@ -1,0 +1,13 @@
+"""Topic names of the contract, relative to the robot's namespace."""
+
+ACTION = "action"
+JOINT_STATES = "joint_states"
+EE_POSE = "ee_pose"
+JOINT_TRAJECTORY = "joint_trajectory"
+JOINT_COMMAND = "joint_command"
+DIAGNOSTICS = "/diagnostics"
+
+
+def camera_image(name: str) -> str:
+    """Topic of a camera's images."""
+    return f"camera/{name}/image"
