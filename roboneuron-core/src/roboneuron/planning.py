@@ -1,0 +1,238 @@
+"""Does this combination fit? Answered from descriptors alone, in one sentence, before anything heavy is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from roboneuron.errors import PlanningError
+from roboneuron.plugins import availability
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import (
+    AccelerationSpec,
+    BackendSpec,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSpec,
+    RobotSpec,
+    RuntimeSpec,
+)
+
+_EMPTY: Mapping[str, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """A combination that fits, resolved to descriptors.
+
+    Attributes:
+        robot, driver: what moves.
+        perception, controller, backend: None when not asked for.
+        runtime: the one asked for, or the backend's default; None when the backend takes none.
+        acceleration: None when not asked for.
+        cameras: camera name by role, for every role the backend needs and each optional one the robot has.
+    """
+
+    robot: RobotSpec
+    driver: DriverSpec
+    perception: PerceptionSpec | None = None
+    controller: ControllerSpec | None = None
+    backend: BackendSpec | None = None
+    runtime: RuntimeSpec | None = None
+    acceleration: AccelerationSpec | None = None
+    cameras: Mapping[str, str] = field(default_factory=dict)
+
+
+def check_plan(
+    registry: Registry,
+    *,
+    robot: str,
+    driver: str,
+    perception: str | None = None,
+    controller: str | None = None,
+    backend: str | None = None,
+    runtime: str | None = None,
+    acceleration: str | None = None,
+    cameras: Mapping[str, str] = _EMPTY,
+) -> Plan:
+    """Return the plan for these names.
+
+    Args:
+        registry: what is installed.
+        robot, driver, perception, controller, backend, runtime, acceleration: names; None for "not wanted", except
+            that the backend's default runtime is taken when `runtime` is None.
+        cameras: camera name by role, where the robot's own roles are not to be used.
+
+    Raises:
+        ConfigurationError: a name is not installed or cannot be used.
+        PlanningError: the parts do not fit; the message says which two and what would.
+    """
+    robot_spec = registry.get("robot", robot)
+    driver_spec = _check_driver(robot_spec, driver)
+    perception_spec = registry.get("perception", perception) if perception else None
+    controller_spec = registry.get("controller", controller) if controller else None
+    backend_spec = registry.get("backend", backend) if backend else None
+    if perception_spec is not None:
+        _check_perception(perception_spec, robot_spec, driver_spec)
+    if controller_spec is not None:
+        _check_controller(controller_spec, robot_spec)
+    if backend_spec is None:
+        _check_nothing_to_execute(runtime, acceleration)
+        return Plan(
+            robot=robot_spec,
+            driver=driver_spec,
+            perception=perception_spec,
+            controller=controller_spec,
+            cameras=MappingProxyType(_chosen_cameras(robot_spec, cameras)),
+        )
+    _check_action_width(backend_spec, robot_spec)
+    resolved_cameras = _resolve_cameras(backend_spec, robot_spec, cameras)
+    runtime_spec = _resolve_runtime(registry, backend_spec, runtime)
+    acceleration_spec = registry.get("acceleration", acceleration) if acceleration else None
+    if acceleration_spec is not None:
+        _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
+    return Plan(
+        robot=robot_spec,
+        driver=driver_spec,
+        perception=perception_spec,
+        controller=controller_spec,
+        backend=backend_spec,
+        runtime=runtime_spec,
+        acceleration=acceleration_spec,
+        cameras=MappingProxyType(resolved_cameras),
+    )
+
+
+def _listed(names: object) -> str:
+    return ", ".join(str(n) for n in names) or "none"  # type: ignore[attr-defined]
+
+
+def _check_driver(robot: RobotSpec, name: str) -> DriverSpec:
+    driver = robot.driver(name)
+    if driver is None:
+        raise PlanningError(
+            f"Robot {robot.name!r} has no driver {name!r}; choose one of: {_listed(d.name for d in robot.drivers)}."
+        )
+    absent = availability.missing(driver.requires)
+    if absent:
+        raise PlanningError(f"Driver {name!r} of robot {robot.name!r} cannot be used: {availability.explain(absent)}")
+    return driver
+
+
+def _check_perception(perception: PerceptionSpec, robot: RobotSpec, driver: DriverSpec) -> None:
+    if perception.robots and robot.name not in perception.robots:
+        raise PlanningError(
+            f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, not {robot.name!r}."
+        )
+    if perception.drivers and driver.name not in perception.drivers:
+        raise PlanningError(
+            f"Perception {perception.name!r} works only with the drivers {_listed(perception.drivers)}, "
+            f"not with {driver.name!r} of robot {robot.name!r}."
+        )
+
+
+def _check_controller(controller: ControllerSpec, robot: RobotSpec) -> None:
+    if robot.robot_kind not in controller.robot_kinds:
+        raise PlanningError(
+            f"Controller {controller.name!r} moves robots of kind {_listed(controller.robot_kinds)}, "
+            f"but {robot.name!r} is of kind {robot.robot_kind!r}."
+        )
+
+
+def _check_nothing_to_execute(runtime: str | None, acceleration: str | None) -> None:
+    for kind, name in (("runtime", runtime), ("acceleration", acceleration)):
+        if name:
+            raise PlanningError(f"The {kind} {name!r} has nothing to execute; name a backend too.")
+
+
+def _check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
+    width = backend.action_space.width
+    if not robot.action_widths:
+        raise PlanningError(
+            f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot drive it."
+        )
+    if width not in robot.action_widths:
+        raise PlanningError(
+            f"Backend {backend.name!r} yields actions of width {width}, "
+            f"but robot {robot.name!r} executes widths {_listed(robot.action_widths)}."
+        )
+
+
+def _chosen_cameras(robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, str]:
+    known = [c.name for c in robot.cameras]
+    for role, name in cameras.items():
+        if name not in known:
+            raise PlanningError(
+                f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: {_listed(known)}."
+            )
+    return dict(cameras)
+
+
+def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, str]:
+    chosen = _chosen_cameras(robot, cameras)
+    roles = (*backend.cameras, *backend.optional_cameras)
+    for role in chosen:
+        if role not in roles:
+            raise PlanningError(f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.")
+    by_role: dict[str, str] = {}
+    for camera in robot.cameras:
+        by_role.setdefault(camera.role, camera.name)
+    absent = [role for role in backend.cameras if role not in chosen and role not in by_role]
+    if absent:
+        has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
+        raise PlanningError(
+            f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot {robot.name!r} has: {has}."
+        )
+    found = {**by_role, **chosen}
+    return {role: found[role] for role in roles if role in found}
+
+
+def _resolve_runtime(registry: Registry, backend: BackendSpec, name: str | None) -> RuntimeSpec | None:
+    fitting = [r.name for r in registry.specs("runtime").values() if backend.family and backend.family in r.families]
+    wanted = name or backend.default_runtime
+    if not wanted:
+        if backend.runtimes_required:
+            raise PlanningError(
+                f"Backend {backend.name!r} needs a runtime for the family {backend.family!r}; "
+                f"installed ones that fit: {_listed(fitting)}."
+            )
+        return None
+    if not backend.family:
+        raise PlanningError(f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.")
+    runtime = registry.get("runtime", wanted)
+    if backend.family not in runtime.families:
+        raise PlanningError(
+            f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend {backend.name!r} is of "
+            f"family {backend.family!r}; installed ones that fit: {_listed(fitting)}."
+        )
+    return runtime
+
+
+def _check_acceleration(
+    registry: Registry, acceleration: AccelerationSpec, backend: BackendSpec, runtime: RuntimeSpec | None
+) -> None:
+    """The capability is offered by what executes the decoder: the runtime, or the backend when it runs without one."""
+    if not backend.family or (acceleration.families and backend.family not in acceleration.families):
+        raise PlanningError(
+            f"Acceleration {acceleration.name!r} knows the families {_listed(acceleration.families)}, "
+            f"but backend {backend.name!r} is of family {backend.family or 'none'!r}."
+        )
+    word = acceleration.capability
+    able = [
+        r.name
+        for r in registry.specs("runtime").values()
+        if backend.family in r.families and (not word or word in r.capabilities)
+    ]
+    if runtime is None:
+        if not word or word not in backend.capabilities:
+            raise PlanningError(
+                f"Acceleration {acceleration.name!r} needs a runtime that offers {word or 'a decoder'!r}, but backend "
+                f"{backend.name!r} was to run without one; installed ones that fit: {_listed(able)}."
+            )
+    elif word and word not in runtime.capabilities:
+        where = "runs the model in another process and " if runtime.served else ""
+        raise PlanningError(
+            f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime {runtime.name!r} {where}"
+            f"offers {_listed(runtime.capabilities)}; installed ones that fit: {_listed(able)}."
+        )

@@ -1,0 +1,32 @@
+"""Which required modules are absent, found out without importing any of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from importlib.util import find_spec
+
+from roboneuron.plugins.specs import Requirement
+
+
+def is_importable(module: str) -> bool:
+    """Whether the top-level `module` could be imported; it is looked up, never executed."""
+    if module in sys.modules:
+        return sys.modules[module] is not None
+    try:
+        return find_spec(module) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
+    """Those of `requirements` whose module cannot be found, in their order."""
+    return tuple(r for r in requirements if not is_importable(r.module))
+
+
+def explain(absent: Iterable[Requirement]) -> str:
+    """One sentence that names the absent modules and the commands that provide them."""
+    parts = tuple(absent)
+    modules = ", ".join(f"'{r.module}'" for r in parts)
+    commands = "; ".join(dict.fromkeys(r.install for r in parts))
+    return f"Needs {modules}, not installed; run: {commands}"

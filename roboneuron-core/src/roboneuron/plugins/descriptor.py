@@ -1,0 +1,120 @@
+"""Checks of single descriptors: names, targets and field types, without loading what they describe."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Union, get_args, get_origin, get_type_hints
+
+from roboneuron.errors import PluginError
+from roboneuron.plugins.specs import CONTRACT_VERSION, KINDS, RobotSpec, Spec
+
+NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+"""Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
+TARGET_PATTERN = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+"""`target` and `config`: "package.module:attribute"."""
+ROBOT_KINDS = ("arm", "base")
+"""Values of `RobotSpec.robot_kind`."""
+
+
+def check_spec(spec: object, kind: str) -> Spec:
+    """Return `spec` when it is a well-formed descriptor of `kind`.
+
+    Raises:
+        PluginError: another type, a mutable or wrongly typed field, a malformed name or target.
+    """
+    expected = KINDS[kind]
+    if type(spec) is not expected:
+        raise PluginError(f"The hook returned {_describe(spec)}, expected a {expected.__name__}.")
+    assert isinstance(spec, Spec)
+    _check_fields(spec, f"{kind} {spec.name!r}")
+    _check_identity(spec, f"{kind} {spec.name!r}")
+    if isinstance(spec, RobotSpec):
+        _check_robot(spec)
+    return spec
+
+
+def is_compatible(spec: Spec) -> bool:
+    """Whether the descriptor was written for the contract of this core."""
+    return spec.contract == CONTRACT_VERSION
+
+
+def _check_identity(spec: Spec, who: str) -> None:
+    check_name(spec.name, who)
+    if not spec.summary.strip() or "\n" in spec.summary:
+        raise PluginError(f"The summary of {who} is {spec.summary!r}, expected one line of text.")
+    _check_target(spec.target, f"`target` of {who}")
+    if spec.config is not None:
+        _check_target(spec.config, f"`config` of {who}")
+    for requirement in spec.requires:
+        if not requirement.module.isidentifier():
+            raise PluginError(f"{who} requires {requirement.module!r}, expected a top-level module name.")
+
+
+def check_name(name: str, who: str) -> None:
+    """Raise PluginError unless `name` matches NAME_PATTERN."""
+    if not NAME_PATTERN.fullmatch(name):
+        raise PluginError(f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.")
+
+
+def _check_target(target: str, who: str) -> None:
+    if not TARGET_PATTERN.fullmatch(target):
+        raise PluginError(f"The {who} is {target!r}, expected 'package.module:attribute'.")
+
+
+def _check_robot(spec: RobotSpec) -> None:
+    who = f"robot {spec.name!r}"
+    if spec.robot_kind not in ROBOT_KINDS:
+        raise PluginError(f"The robot_kind of {who} is {spec.robot_kind!r}, expected one of {', '.join(ROBOT_KINDS)}.")
+    if not spec.drivers:
+        raise PluginError(f"{who} has no drivers, expected at least one DriverSpec.")
+    for driver in spec.drivers:
+        check_name(driver.name, f"driver {driver.name!r} of {who}")
+        _check_target(driver.target, f"`target` of driver {driver.name!r} of {who}")
+        if driver.config is not None:
+            _check_target(driver.config, f"`config` of driver {driver.name!r} of {who}")
+    _check_unique((d.name for d in spec.drivers), f"drivers of {who}")
+    _check_unique((c.name for c in spec.cameras), f"cameras of {who}")
+
+
+def _check_unique(names: Iterable[str], who: str) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise PluginError(f"The {who} hold the name {name!r} twice.")
+        seen.add(name)
+
+
+def _check_fields(value: object, who: str) -> None:
+    hints = get_type_hints(type(value))
+    for field in fields(value):  # type: ignore[arg-type]
+        _check_value(getattr(value, field.name), hints[field.name], f"`{field.name}` of {who}")
+
+
+def _check_value(value: object, hint: object, who: str) -> None:
+    """Compare one field with its annotation; only the shapes that descriptors use are known here."""
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in get_args(hint):
+            return
+        hint = next(a for a in get_args(hint) if a is not NoneType)
+        origin = get_origin(hint)
+    if origin is tuple:
+        if type(value) is not tuple:
+            raise PluginError(f"The {who} is {_describe(value)}, expected a tuple (descriptors are immutable).")
+        for item in value:
+            _check_value(item, get_args(hint)[0], f"an item of {who}")
+        return
+    assert isinstance(hint, type)
+    accepted: tuple[type, ...] = (int, float) if hint is float else (hint,)
+    if type(value) not in accepted:
+        raise PluginError(f"The {who} is {_describe(value)}, expected {hint.__name__}.")
+    if is_dataclass(hint):
+        _check_fields(value, who)
+
+
+def _describe(value: object) -> str:
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"

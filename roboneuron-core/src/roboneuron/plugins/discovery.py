@@ -1,0 +1,218 @@
+"""Finding plugins: every entry point of the group `roboneuron`, each behind its own fence.
+
+Whatever one plugin does wrong is written into its record and hurts nobody else.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import traceback
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
+
+import pluggy
+
+from roboneuron.errors import ConfigurationError, PluginError
+from roboneuron.plugins import availability, hookspecs
+from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.markers import PROJECT
+from roboneuron.plugins.record import SEVERITY, Offer, PluginRecord, Status
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import CONTRACT_VERSION, Spec
+
+_HOOK_PREFIX = f"{PROJECT}_"
+_MARK = f"{PROJECT}_impl"
+"""Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Finding:
+    """A record that is not final yet: conflicts are known only when all plugins were read."""
+
+    record: PluginRecord
+    offers: tuple[Offer, ...] = ()
+
+
+def discover(disabled: Collection[str] = ()) -> Registry:
+    """Read all installed plugins, importing nothing but their plugin modules.
+
+    Args:
+        disabled: names of distributions that are not to be imported at all.
+
+    Raises:
+        ConfigurationError: `disabled` names a distribution that is no installed plugin.
+    """
+    return discover_from(entry_points(group=PROJECT), disabled)
+
+
+def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
+    """As `discover`, for the given entry points."""
+    ordered = sorted(points, key=lambda p: (_distribution(p), p.value))
+    skipped = _check_disabled(disabled, {_distribution(p) for p in ordered})
+    findings = [_disable(p) if _normalise(_distribution(p)) in skipped else _examine(p) for p in ordered]
+    return _settle(findings)
+
+
+def _distribution(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.name
+
+
+def _normalise(name: str) -> str:
+    """Project names compare as PEP 503 says."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> set[str]:
+    known = {_normalise(name) for name in installed}
+    wanted = {_normalise(name): name for name in disabled}
+    for normal, name in wanted.items():
+        if normal not in known:
+            close = get_close_matches(normal, known, n=1)
+            nearest = f"Did you mean {close[0]!r}?" if close else f"Installed: {', '.join(sorted(known)) or 'none'}."
+            raise ConfigurationError(f"The disabled plugin {name!r} is not installed.", hint=nearest)
+    return set(wanted)
+
+
+def _record(point: EntryPoint, status: Status, reason: str = "", trace: str = "") -> PluginRecord:
+    version = point.dist.version if point.dist is not None else ""
+    return PluginRecord(
+        distribution=_distribution(point),
+        version=version or "",
+        module=point.module,
+        status=status,
+        reason=reason,
+        traceback=trace,
+    )
+
+
+def _disable(point: EntryPoint) -> _Finding:
+    return _Finding(record=_record(point, Status.DISABLED, "Disabled by the configuration."))
+
+
+def _examine(point: EntryPoint) -> _Finding:
+    """Import one plugin and call its hooks; every failure ends in its own record."""
+    try:
+        with redirect_stdout(sys.stderr):
+            specs = read_module(point.load())
+    except PluginError as error:
+        return _Finding(record=_record(point, Status.FAILED, str(error), _trace(error)))
+    except (Exception, SystemExit) as error:
+        where = f"Importing {point.value} raised {type(error).__name__}: {error}"
+        return _Finding(record=_record(point, Status.FAILED, where, traceback.format_exc()))
+    record = replace(_record(point, Status.READY), specs=specs)
+    return _Finding(record=record, offers=tuple(_offer(spec, record.distribution) for spec in specs))
+
+
+def _trace(error: BaseException) -> str:
+    cause = error.__cause__ or error
+    return "".join(traceback.format_exception(cause))
+
+
+def read_module(module: object) -> tuple[Spec, ...]:
+    """Return the descriptors that a plugin module offers, in the order of the kinds.
+
+    Raises:
+        PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns something else
+            than a sequence of well-formed descriptors.
+    """
+    if not isinstance(module, ModuleType):
+        raise PluginError(f"The entry point names {type(module).__name__} {module!r}, expected a module.")
+    _check_hook_names(module)
+    manager = pluggy.PluginManager(PROJECT)
+    manager.add_hookspecs(hookspecs)
+    try:
+        manager.register(module)
+        manager.check_pending()
+    except pluggy.PluginValidationError as error:
+        raise PluginError(f"{module.__name__}: {error}") from error
+    specs: list[Spec] = []
+    for kind, hook in hookspecs.HOOKS.items():
+        for offered in _call(manager, hook):
+            specs.extend(check_spec(spec, kind) for spec in _check_sequence(offered, hook))
+    if not specs:
+        raise PluginError(f"{module.__name__} offers nothing, expected a hook such as {hookspecs.HOOKS['backend']}.")
+    return tuple(specs)
+
+
+def _check_hook_names(module: ModuleType) -> None:
+    """A function with the prefix of the hooks is one of them and decorated, whatever the decorator says."""
+    hooks = tuple(hookspecs.HOOKS.values())
+    for name, value in vars(module).items():
+        marked = getattr(value, _MARK, None) is not None
+        if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))):
+            continue
+        if name not in hooks:
+            close = get_close_matches(name, hooks, n=1, cutoff=0.0)[0]
+            raise PluginError(f"{module.__name__}.{name} is no hook; did you mean {close}?")
+        if not marked:
+            raise PluginError(
+                f"{module.__name__}.{name} is not decorated, expected @hookimpl from roboneuron.plugins.markers."
+            )
+
+
+def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
+    caller: pluggy.HookCaller = getattr(manager.hook, hook)
+    try:
+        results: list[object] = caller()
+    except (Exception, SystemExit) as error:
+        raise PluginError(f"The hook {hook} raised {type(error).__name__}: {error}") from error
+    if len(results) != len(caller.get_hookimpls()):  # pluggy drops None
+        raise PluginError(f"The hook {hook} returned None, expected a sequence of descriptors.")
+    return results
+
+
+def _check_sequence(offered: object, hook: str) -> Sequence[object]:
+    if not isinstance(offered, (list, tuple)):
+        raise PluginError(f"The hook {hook} returned {type(offered).__name__}, expected a sequence of descriptors.")
+    return offered
+
+
+def _offer(spec: Spec, distribution: str) -> Offer:
+    if not is_compatible(spec):
+        newer = spec.contract > CONTRACT_VERSION
+        advice = "upgrade roboneuron-core" if newer else f"upgrade {distribution}"
+        reason = f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
+        return Offer(spec=spec, distribution=distribution, status=Status.INCOMPATIBLE, reason=reason)
+    absent = availability.missing(spec.requires)
+    if absent:
+        reason = availability.explain(absent)
+        return Offer(spec=spec, distribution=distribution, status=Status.UNAVAILABLE, reason=reason)
+    return Offer(spec=spec, distribution=distribution, status=Status.READY)
+
+
+def _settle(findings: Sequence[_Finding]) -> Registry:
+    """Mark claims on one name as conflicts and give each plugin the worst status of its offers."""
+    claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for finding in findings:
+        for offer in finding.offers:
+            claims[offer.spec.kind, offer.spec.name].append(offer.distribution)
+    records: list[PluginRecord] = []
+    offers: list[Offer] = []
+    for finding in findings:
+        settled = [_contest(o, claims[o.spec.kind, o.spec.name]) for o in finding.offers]
+        offers += settled
+        records.append(_summarise(finding.record, settled))
+    offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.distribution))
+    return Registry(plugins=tuple(records), all_offers=tuple(offers))
+
+
+def _contest(offer: Offer, claimants: Sequence[str]) -> Offer:
+    if len(claimants) == 1:
+        return offer
+    reason = (
+        f"The {offer.spec.kind} {offer.spec.name!r} is claimed by {' and by '.join(claimants)}; "
+        "uninstall or disable all but one."
+    )
+    return replace(offer, status=Status.CONFLICT, reason=reason)
+
+
+def _summarise(record: PluginRecord, offers: Sequence[Offer]) -> PluginRecord:
+    worst = max((o.status for o in offers), key=SEVERITY.index, default=record.status)
+    reasons = dict.fromkeys(f"{o.spec.kind} {o.spec.name}: {o.reason}" for o in offers if o.reason)
+    return replace(record, status=worst, reason=" ".join(reasons) or record.reason)

@@ -1,0 +1,126 @@
+"""From a descriptor to what it describes: importing targets and validating options; the first heavy step."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
+from roboneuron.plugins import availability
+from roboneuron.plugins.specs import DriverSpec, Spec
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+
+def load_target(spec: Spec | DriverSpec) -> object:
+    """Import `spec.target` and return the class or function it names.
+
+    Raises:
+        MissingDependencyError: a required module is absent; the hint holds the command that provides it.
+        PluginError: the module cannot be imported or has no such attribute; the cause is kept.
+    """
+    absent = availability.missing(spec.requires)
+    if absent:
+        raise MissingDependencyError(
+            f"{spec.name!r} needs {', '.join(repr(r.module) for r in absent)}, not installed.",
+            hint=f"Run: {'; '.join(dict.fromkeys(r.install for r in absent))}",
+        )
+    return load_attribute(spec.target, f"`target` of {spec.name!r}")
+
+
+def load_attribute(reference: str, who: str) -> object:
+    """Import "package.module:attribute"; raises as `load_target`, naming `who`."""
+    module_name, _, path = reference.partition(":")
+    try:
+        value: object = import_module(module_name)
+    except ModuleNotFoundError as error:
+        absent = error.name or ""
+        if absent.partition(".")[0] == module_name.partition(".")[0]:
+            raise PluginError(f"The {who} is {reference!r}, but there is no module {absent!r}.") from error
+        raise MissingDependencyError(
+            f"The {who} cannot be imported: there is no module {absent!r}.",
+            hint="Install it, and ask the plugin's author to declare it in `requires`.",
+        ) from error
+    except Exception as error:  # the border to a plugin's own code
+        raise PluginError(f"Importing the {who} ({reference}) raised {type(error).__name__}: {error}") from error
+    for part in path.split("."):
+        try:
+            value = getattr(value, part)
+        except AttributeError as error:
+            close = get_close_matches(part, dir(value), n=1)
+            nearest = f"; did you mean {close[0]!r}?" if close else "."
+            raise PluginError(f"The {who} is {reference!r}, but there is no attribute {part!r}{nearest}") from error
+    return value
+
+
+def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
+    """Import the pydantic model of a descriptor's options, or None when it names none; raises as `load_target`."""
+    if spec.config is None:
+        return None
+    from pydantic import BaseModel  # heavy
+
+    model = load_attribute(spec.config, f"`config` of {spec.name!r}")
+    if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        raise PluginError(f"The `config` of {spec.name!r} ({spec.config}) is {model!r}, expected a pydantic BaseModel.")
+    return model
+
+
+def load_options(
+    spec: Spec | DriverSpec, options: Mapping[str, object], *, section: str | None = None
+) -> BaseModel | None:
+    """Validate a user's options; returns None when the descriptor takes none.
+
+    Values are read as JSON is: no text for a number, no number for text; paths may be text, tuples may be lists.
+
+    Args:
+        spec: descriptor of the plugin or driver.
+        options: as in `[plugins.<name>]` of the configuration or as a tool's arguments.
+        section: what to call them in errors; `plugins.<name>` when None.
+
+    Raises:
+        ConfigurationError: an unknown key (names the nearest valid one), a missing one, or a value of the wrong type or
+            range; every problem is named.
+    """
+    place = f"plugins.{spec.name}" if section is None else section
+    model = load_options_model(spec)
+    if model is None:
+        if options:
+            raise ConfigurationError(f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options.")
+        return None
+    valid = [field.alias or name for name, field in model.model_fields.items()]
+    unknown = [_explain_unknown(f"{place}.{key}", key, valid) for key in options if key not in valid]
+    if unknown:
+        raise ConfigurationError(" ".join(unknown))
+    from pydantic import ValidationError  # heavy
+
+    try:
+        return model.model_validate_json(json.dumps(dict(options), default=_plain), strict=True)
+    except ValidationError as error:
+        raise ConfigurationError(_explain(error, place)) from error
+
+
+def _explain_unknown(path: str, key: str, valid: list[str]) -> str:
+    close = get_close_matches(key, valid, n=1)
+    nearest = f"did you mean {close[0]!r}?" if close else f"valid are: {', '.join(sorted(valid)) or 'none'}."
+    return f"{path} is unknown; {nearest}"
+
+
+def _explain(error: ValidationError, place: str) -> str:
+    parts: list[str] = []
+    for problem in error.errors(include_url=False, include_context=False):
+        path = ".".join([place, *(str(step) for step in problem["loc"])])
+        parts.append(f"{path} is {problem['input']!r}: {problem['msg']}.")
+    return " ".join(parts)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    return str(value)

@@ -1,0 +1,117 @@
+"""What is installed and usable: the answer of discovery, immutable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import Literal, overload
+
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.record import Offer, PluginRecord, Status
+from roboneuron.plugins.specs import (
+    KINDS,
+    AccelerationSpec,
+    BackendSpec,
+    ControllerSpec,
+    PerceptionSpec,
+    RobotSpec,
+    RuntimeSpec,
+    Spec,
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Registry:
+    """All plugins that are installed, and what each of them offers.
+
+    Attributes:
+        plugins: one record for each entry point, sorted by distribution and module.
+        all_offers: every descriptor offered, of any status, sorted by kind, name and distribution.
+    """
+
+    plugins: tuple[PluginRecord, ...]
+    all_offers: tuple[Offer, ...]
+
+    def offers(self, kind: str) -> tuple[Offer, ...]:
+        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for another kind."""
+        _check_kind(kind)
+        return tuple(o for o in self.all_offers if o.spec.kind == kind)
+
+    @overload
+    def specs(self, kind: Literal["backend"]) -> Mapping[str, BackendSpec]: ...
+    @overload
+    def specs(self, kind: Literal["runtime"]) -> Mapping[str, RuntimeSpec]: ...
+    @overload
+    def specs(self, kind: Literal["acceleration"]) -> Mapping[str, AccelerationSpec]: ...
+    @overload
+    def specs(self, kind: Literal["perception"]) -> Mapping[str, PerceptionSpec]: ...
+    @overload
+    def specs(self, kind: Literal["controller"]) -> Mapping[str, ControllerSpec]: ...
+    @overload
+    def specs(self, kind: Literal["robot"]) -> Mapping[str, RobotSpec]: ...
+    @overload
+    def specs(self, kind: str) -> Mapping[str, Spec]: ...
+    def specs(self, kind: str) -> Mapping[str, Spec]:
+        """The usable descriptors of `kind` by name, sorted; raises ConfigurationError for another kind."""
+        return MappingProxyType({o.spec.name: o.spec for o in self.offers(kind) if o.status is Status.READY})
+
+    @overload
+    def get(self, kind: Literal["backend"], name: str) -> BackendSpec: ...
+    @overload
+    def get(self, kind: Literal["runtime"], name: str) -> RuntimeSpec: ...
+    @overload
+    def get(self, kind: Literal["acceleration"], name: str) -> AccelerationSpec: ...
+    @overload
+    def get(self, kind: Literal["perception"], name: str) -> PerceptionSpec: ...
+    @overload
+    def get(self, kind: Literal["controller"], name: str) -> ControllerSpec: ...
+    @overload
+    def get(self, kind: Literal["robot"], name: str) -> RobotSpec: ...
+    @overload
+    def get(self, kind: str, name: str) -> Spec: ...
+    def get(self, kind: str, name: str) -> Spec:
+        """The usable descriptor of that kind and name.
+
+        Raises:
+            ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown), what the choices are
+                and what to do.
+        """
+        ready = self.specs(kind)
+        if name in ready:
+            return ready[name]
+        claims = [o for o in self.offers(kind) if o.spec.name == name]
+        if claims:
+            reasons = " ".join(dict.fromkeys(f"{o.status}: {o.reason}" for o in claims))
+            raise ConfigurationError(
+                f"The {kind} {name!r} cannot be used ({', '.join(o.distribution for o in claims)} {reasons}).",
+                hint=_choices(kind, ready),
+            )
+        close = get_close_matches(name, ready, n=1)
+        nearest = f" Did you mean {close[0]!r}?" if close else ""
+        raise ConfigurationError(
+            f"There is no {kind} {name!r}.{nearest}",
+            hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
+        )
+
+    def _explain_absent_plugins(self) -> str:
+        """Plugins whose offers are unknown because they did not load: one of them may hold what is sought."""
+        silent = [p for p in self.plugins if p.status in (Status.DISABLED, Status.FAILED)]
+        if not silent:
+            return ""
+        named = ", ".join(f"{p.distribution} ({p.status})" for p in silent)
+        return f" Not loaded: {named}; see `roboneuron plugins list`."
+
+
+def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
+    return (
+        f"Choose one of: {', '.join(ready)}." if ready else f"No {kind} plugin is ready; see `roboneuron plugins list`."
+    )
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        close = get_close_matches(kind, KINDS, n=1)
+        nearest = f" Did you mean {close[0]!r}?" if close else ""
+        raise ConfigurationError(f"{kind!r} is no kind of plugin, expected one of {', '.join(KINDS)}.{nearest}")

@@ -1,0 +1,66 @@
+"""The registry finds descriptors by kind and name, or says why not."""
+
+from __future__ import annotations
+
+import pytest
+
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.record import Status
+
+SOURCE = """
+@hookimpl
+def roboneuron_backends():
+    return [
+        BackendSpec(name="servo", summary="Servo.", target="m:Servo"),
+        BackendSpec(name="policy", summary="Policy.", target="m:Policy"),
+        BackendSpec(name="gpu", summary="Gpu.", target="m:Gpu",
+                    requires=(Requirement(module="absent_x", install="pip install x"),)),
+    ]
+"""
+
+
+def test_specs_are_ready_only_and_sorted_by_name(site):
+    site.install("rn-a", SOURCE)
+    registry = site.discover()
+    assert list(registry.specs("backend")) == ["policy", "servo"]
+    assert [(o.spec.name, o.status) for o in registry.offers("backend")] == [
+        ("gpu", Status.UNAVAILABLE),
+        ("policy", Status.READY),
+        ("servo", Status.READY),
+    ]
+
+
+def test_get_returns_the_descriptor(site):
+    site.install("rn-a", SOURCE)
+    assert site.discover().get("backend", "servo").summary == "Servo."
+
+
+def test_get_names_the_nearest_and_the_choices(site):
+    site.install("rn-a", SOURCE)
+    with pytest.raises(
+        ConfigurationError, match=r"no backend 'sevro'\. Did you mean 'servo'\? Choose one of: policy, servo"
+    ):
+        site.discover().get("backend", "sevro")
+
+
+def test_get_says_how_to_install_what_is_missing(site):
+    site.install("rn-a", SOURCE)
+    with pytest.raises(ConfigurationError, match=r"'gpu' cannot be used.*unavailable.*run: pip install x"):
+        site.discover().get("backend", "gpu")
+
+
+def test_get_names_plugins_that_did_not_load(site):
+    site.install("rn-a", SOURCE)
+    site.install("rn-b", "1 / 0")
+    with pytest.raises(ConfigurationError, match=r"Not loaded: rn-b \(failed\)"):
+        site.discover().get("backend", "of-rn-b")
+
+
+def test_an_unknown_kind_is_refused(site):
+    with pytest.raises(ConfigurationError, match=r"'backends' is no kind of plugin.*Did you mean 'backend'"):
+        site.discover().specs("backends")
+
+
+def test_get_without_any_plugin_says_so(site):
+    with pytest.raises(ConfigurationError, match="No robot plugin is ready"):
+        site.discover().get("robot", "fr3")
