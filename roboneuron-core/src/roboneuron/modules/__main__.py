@@ -1,0 +1,80 @@
+"""`python -m roboneuron.modules`: read ModuleSettings from stdin, run that module, leave with the parent."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+
+from pydantic import ValidationError
+
+from roboneuron.modules.lifeline import follow_parent, watch_stdin
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.ros.environment import prepare_environment
+
+
+def _read_line() -> str:
+    """The first line of stdin, unbuffered: what follows belongs to the lifeline."""
+    data = bytearray()
+    while not data.endswith(b"\n"):
+        byte = os.read(0, 1)
+        if not byte:
+            sys.exit("stdin ended before the settings came.")
+        data += byte
+    return data.decode()
+
+
+def _run(settings: ModuleSettings) -> None:
+    import rclpy  # heavy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from roboneuron.modules.module import Module, ModuleNode
+
+    def build(node: ModuleNode) -> Module:
+        if settings.kind == "perception":
+            from roboneuron.modules.perception import PerceptionModule
+
+            return PerceptionModule(node)
+        if settings.kind == "inference":
+            from roboneuron.modules.inference import InferenceModule
+
+            return InferenceModule(node)
+        if settings.kind == "control":
+            from roboneuron.modules.control import ControlModule
+
+            return ControlModule(node)
+        from roboneuron.modules.robot import RobotModule
+
+        return RobotModule(node)
+
+    rclpy.init()
+    node = ModuleNode(settings, build)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    watch_stdin(lambda: os.kill(os.getpid(), signal.SIGTERM))
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        logging.getLogger(__name__).info("asked to stop")
+    finally:
+        node.release()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main() -> None:
+    """Entry point of a module process."""
+    parent = os.getppid()
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    follow_parent(parent)
+    prepare_environment()
+    try:
+        settings = ModuleSettings.model_validate_json(_read_line())
+    except ValidationError as error:
+        sys.exit(f"The settings are not valid: {error}")
+    _run(settings)
+
+
+if __name__ == "__main__":
+    main()

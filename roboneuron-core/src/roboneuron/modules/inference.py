@@ -1,0 +1,229 @@
+"""Inference: newest images and proprioception in, actions out; chunks are played out here."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import cast
+
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Float64MultiArray
+
+from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation
+from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron.modules.inputs import NewestInputs
+from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, StatusKey
+from roboneuron.modules.worker import Worker
+from roboneuron.planning import check_plan
+from roboneuron.plugins.discovery import discover
+from roboneuron.ros.messages import to_action_message
+from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image
+
+_WAIT_S = 0.1
+_PACE = 0.8
+"""The next inference may start after this share of a step has passed since the last action went out."""
+SILENCE_S = 1.0
+"""Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
+MAX_INSTRUCTION_LENGTH = 1000
+
+
+class InferenceModule(Module):
+    """Runs one backend on the newest observation and publishes its actions one per step."""
+
+    def __init__(self, node: ModuleNode) -> None:
+        super().__init__(node)
+        self._backend: Backend | None = None
+        self._publisher: LifecyclePublisher | None = None
+        self._subscriptions: list[object] = []
+        self._inputs: NewestInputs | None = None
+        self._worker = Worker("inference", self._step, self.status)
+        self._instruction = ""
+        self._instruction_count = 0
+        self._actions_for_instruction = 0
+        self._reset_wanted = False
+        self._next_s = 0.0
+
+    def configure(self) -> None:
+        """Load the backend (weights and warm-up included), then subscribe to its inputs."""
+        config = self.config.inference
+        if config is None:
+            raise ConfigurationError("The configuration has no [inference] section.")
+        registry = discover(self.config.disabled_plugins)
+        plan = check_plan(
+            registry,
+            robot=self.config.robot.name,
+            driver=self.config.robot.driver,
+            perception=None,
+            controller=None,
+            backend=config.backend,
+            runtime=config.runtime,
+            acceleration=config.acceleration,
+            cameras=config.cameras,
+        )
+        profile = load_profile(registry, self.config.robot.name)
+        cameras: dict[str, CameraProfile] = {}
+        for role, name in plan.cameras.items():
+            camera = profile.camera(name)
+            if camera is None:
+                raise ConfigurationError(f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}.")
+            cameras[role] = camera
+        spec = plan.backend
+        assert spec is not None
+        options = dict(self.config.options(spec.name))
+        if config.checkpoint is not None:
+            options["checkpoint"] = config.checkpoint
+        parts = {
+            part: None if chosen is None else build(chosen, self.config.options(chosen.name))
+            for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
+        }
+        self._backend = cast("Backend", build(spec, options, **parts))
+        started_s = time.monotonic()
+        self._backend.load()
+        self.status.set_value("load_s", time.monotonic() - started_s)
+        self.status.set_value("backend", spec.name)
+        self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
+        self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self._inputs = NewestInputs(
+            cameras=cameras,
+            optional=frozenset(spec.optional_cameras),
+            needs_state=spec.needs_state,
+            gripper=profile.gripper,
+            max_age_s=config.max_image_age_s,
+            status=self.status,
+            now_ns=lambda: int(self.node.get_clock().now().nanoseconds),
+        )
+        self._subscribe(self._inputs)
+        self._publisher = self.node.create_lifecycle_publisher(Float64MultiArray, ACTION, NEWEST)
+        self._declare_instruction(config.instruction)
+
+    def activate(self) -> None:
+        """Start acting on the instruction, when there is one."""
+        assert self._inputs is not None
+        self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
+        self._reset_wanted = True
+        self._actions_for_instruction = 0
+        self._next_s = 0.0
+        self.status.set_waiting(self._inputs.missing() or "the first action")
+        self._worker.start()
+
+    def deactivate(self) -> None:
+        """Stop publishing at once; a prediction in progress is thrown away."""
+        if not self._worker.stop():
+            raise NotReadyError("The backend hangs in predict(); its process must be ended.")
+
+    def close(self) -> None:
+        """Release the backend and the topics."""
+        self._worker.stop()
+        if self._backend is not None:
+            self._backend.close()
+            self._backend = None
+        for subscription in self._subscriptions:
+            self.node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+        if self._publisher is not None:
+            self.node.destroy_lifecycle_publisher(self._publisher)
+            self._publisher = None
+
+    def _subscribe(self, inputs: NewestInputs) -> None:
+        for role, camera in inputs.cameras.items():
+            self._subscriptions.append(
+                self.node.create_subscription(Image, camera_image(camera.name), inputs.image_callback(role), NEWEST)
+            )
+        if inputs.needs_state:
+            self._subscriptions += [
+                self.node.create_subscription(JointState, JOINT_STATES, inputs.on_joint_state, NEWEST),
+                self.node.create_subscription(PoseStamped, EE_POSE, inputs.on_ee_pose, NEWEST),
+            ]
+
+    def _declare_instruction(self, instruction: str) -> None:
+        if not self.node.has_parameter(INSTRUCTION_PARAMETER):
+            self.node.add_on_set_parameters_callback(self._on_parameters)
+            self.node.declare_parameter(INSTRUCTION_PARAMETER, instruction)
+        else:
+            self.node.set_parameters([Parameter(INSTRUCTION_PARAMETER, value=instruction)])
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name != INSTRUCTION_PARAMETER:
+                continue
+            if parameter.type_ is not Parameter.Type.STRING:
+                return SetParametersResult(successful=False, reason="instruction must be a string")
+            if len(parameter.value) > MAX_INSTRUCTION_LENGTH:
+                reason = f"instruction is {len(parameter.value)} characters long, at most {MAX_INSTRUCTION_LENGTH}"
+                return SetParametersResult(successful=False, reason=reason)
+            self._instruction = str(parameter.value).strip()
+            self._instruction_count += 1
+            self._actions_for_instruction = 0
+            self._reset_wanted = True
+            self.status.clear_error()
+            self.status.set_value(StatusKey.INSTRUCTION, self._instruction)
+            self.status.set_value(StatusKey.INSTRUCTION_COUNT, self._instruction_count)
+            self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 0)
+            self.status.changed.set()
+        return SetParametersResult(successful=True)
+
+    def _step(self, stop: threading.Event) -> None:
+        assert self._backend is not None
+        assert self._inputs is not None
+        remaining_s = self._next_s - time.monotonic()
+        if remaining_s > 0 and stop.wait(remaining_s):
+            return
+        observation = self._inputs.wait(_WAIT_S)
+        if observation is None:
+            missing = self._inputs.missing()
+            if missing:
+                self.status.set_waiting(missing)
+            elif self._inputs.silence_s() > SILENCE_S:
+                raise NotReadyError(
+                    f"No usable image for {self._inputs.silence_s():.1f} s; actions have stopped.",
+                    hint="Is perception running, and is its clock right?",
+                )
+            return
+        count, instruction = self._instruction_count, self._instruction
+        if not instruction:
+            self.status.set_value(StatusKey.NOTE, "waiting for an instruction")
+            self.status.set_ready()
+            return
+        if self._reset_wanted:
+            self._reset_wanted = False
+            self._backend.reset()
+        started_s = time.monotonic()
+        chunk = self._backend.predict(replace(observation, instruction=instruction))
+        self.status.set_value("inference_ms", (time.monotonic() - started_s) * 1e3)
+        for name, value in chunk.metrics.items():
+            self.status.set_value(f"backend.{name}", float(value))
+        self.status.set_value(StatusKey.NOTE, chunk.note)
+        self._play(chunk, observation, count, stop)
+
+    def _play(self, chunk: ActionChunk, observation: Observation, count: int, stop: threading.Event) -> None:
+        """Publish one action per `step_s`; a new instruction or the end of the activity cuts the chunk short."""
+        assert self._publisher is not None
+        start_s = time.monotonic()
+        horizon = len(chunk.actions)
+        for index, vector in enumerate(chunk.actions):
+            delay_s = start_s + index * chunk.step_s - time.monotonic()
+            if delay_s > 0:
+                stop.wait(delay_s)
+            if stop.is_set() or self._instruction_count != count or self.node.stopped:
+                return
+            self._publisher.publish(to_action_message(vector))
+            self.status.output.tick()
+            self._actions_for_instruction += 1
+            if index == 0:
+                age_ms = (self.node.get_clock().now().nanoseconds - observation.stamp_ns) / 1e6
+                self.status.latency.add(age_ms)
+                self.status.set_value("image_age_ms", age_ms)
+                self.status.clear_error()
+                self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, self._actions_for_instruction)
+                self.status.set_ready()
+            self.status.set_value("chunk_position", f"{index + 1}/{horizon}")
+        self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, self._actions_for_instruction)
+        self._next_s = time.monotonic() + _PACE * chunk.step_s

@@ -1,0 +1,157 @@
+"""The newest of everything a backend needs, kept by callbacks, taken by the inference thread."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import Image, JointState
+
+from roboneuron.contract import CameraProfile, Frame, GripperProfile, JointSample, Observation, Pose
+from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron.modules.status import ModuleStatus
+from roboneuron.ros.messages import frame_from_message, joints_from_message, pose_from_message
+from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
+
+_IMAGE_TYPE = "sensor_msgs/msg/Image"
+
+
+class NewestInputs:
+    """Holds one frame per role and the newest proprioception; older ones are overwritten, never queued.
+
+    `wait` hands out an observation when the first role has a frame that was not handed out before, all else is there,
+    and nothing is older than `max_age_s`.
+    """
+
+    def __init__(
+        self,
+        *,
+        cameras: Mapping[str, CameraProfile],
+        optional: frozenset[str],
+        needs_state: bool,
+        gripper: GripperProfile | None,
+        max_age_s: float,
+        status: ModuleStatus,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self.cameras = dict(cameras)
+        self.needs_state = needs_state
+        self._optional = optional
+        self._gripper = gripper
+        self._max_age_ns = int(max_age_s * 1e9)
+        self._status = status
+        self._now_ns = now_ns
+        self._frames: dict[str, Frame] = {}
+        self._joints: JointSample | None = None
+        self._ee_pose: Pose | None = None
+        self._fresh = threading.Condition()
+        self._used_ns = -1
+        self._usable_s = time.monotonic()
+        self._leading = next(iter(self.cameras), "")
+
+    def image_callback(self, role: str) -> Callable[[Image], None]:
+        """Return the subscription callback of the camera with that role."""
+        camera = self.cameras[role]
+
+        def on_image(message: Image) -> None:
+            try:
+                frame = frame_from_message(message, camera.name, camera.calibration)
+            except InvalidInputError as error:
+                self._status.dropped.add("bad_image")
+                self._status.set_error(error)
+                return
+            with self._fresh:
+                self._frames[role] = frame
+                self._fresh.notify()
+
+        return on_image
+
+    def on_joint_state(self, message: JointState) -> None:
+        """Subscription callback."""
+        try:
+            joints = joints_from_message(message)
+        except InvalidInputError as error:
+            self._status.dropped.add("bad_joint_state")
+            self._status.set_error(error)
+            return
+        with self._fresh:
+            self._joints = joints
+
+    def on_ee_pose(self, message: PoseStamped) -> None:
+        """Subscription callback."""
+        with self._fresh:
+            self._ee_pose = pose_from_message(message)
+
+    def check_types(self, topics: Mapping[str, list[str]], namespace: str) -> None:
+        """Compare the graph's types with the contract's.
+
+        Raises:
+            ConfigurationError: somebody publishes an image topic with another type.
+        """
+        for camera in self.cameras.values():
+            topic = f"{namespace.rstrip('/')}/{camera_image(camera.name)}"
+            foreign = [t for t in topics.get(topic, [_IMAGE_TYPE]) if t != _IMAGE_TYPE]
+            if foreign:
+                raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, expected {_IMAGE_TYPE} in rgb8.")
+
+    def missing(self) -> str:
+        """What has not arrived yet, as a phrase; empty when everything has."""
+        with self._fresh:
+            absent = [
+                f"images on {camera_image(self.cameras[role].name)}"
+                for role in self.cameras
+                if role not in self._frames and role not in self._optional
+            ]
+            if self.needs_state:
+                if self._joints is None:
+                    absent.append(f"joint states on {JOINT_STATES}")
+                if self._ee_pose is None:
+                    absent.append(f"the end-effector pose on {EE_POSE} (is control running?)")
+        return " and ".join(absent)
+
+    def silence_s(self) -> float:
+        """Seconds since the last observation was handed out."""
+        return time.monotonic() - self._usable_s
+
+    def wait(self, timeout_s: float) -> Observation | None:
+        """Return the newest observation not handed out yet, without its instruction; None after `timeout_s`."""
+        with self._fresh:
+            if not self._fresh.wait_for(self._is_fresh, timeout_s):
+                return None
+            frames = dict(self._frames)
+            joints, ee_pose = self._joints, self._ee_pose
+            self._used_ns = frames[self._leading].stamp_ns
+        limit_ns = self._now_ns() - self._max_age_ns
+        for role, frame in list(frames.items()):
+            if frame.stamp_ns < limit_ns:
+                if role not in self._optional:
+                    self._status.dropped.add("old_image")
+                    return None
+                del frames[role]
+        if self.needs_state and (joints is None or ee_pose is None):
+            return None
+        if joints is not None and joints.stamp_ns < limit_ns:
+            self._status.dropped.add("old_joint_state")
+            return None
+        self._usable_s = time.monotonic()
+        return Observation(
+            frames=frames,
+            instruction="",
+            joints=joints,
+            ee_pose=ee_pose,
+            gripper_open=self._opening(joints),
+            stamp_ns=min(frame.stamp_ns for frame in frames.values()),
+        )
+
+    def _is_fresh(self) -> bool:
+        needed = [role for role in self.cameras if role not in self._optional]
+        if any(role not in self._frames for role in needed) or self._leading not in self._frames:
+            return False
+        return self._frames[self._leading].stamp_ns != self._used_ns
+
+    def _opening(self, joints: JointSample | None) -> float | None:
+        if joints is None or self._gripper is None or self._gripper.joint not in joints.names:
+            return None
+        return self._gripper.to_opening(float(joints.position[joints.names.index(self._gripper.joint)]))

@@ -1,0 +1,44 @@
+"""A module dies with its parent, however the parent dies.
+
+Two independent ways: the kernel sends SIGTERM when the spawning thread ends (PR_SET_PDEATHSIG), and stdin, a pipe
+whose other end only the parent holds, comes to its end. Either way the module gets a bounded time to hold the robot and
+leave.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+_PR_SET_PDEATHSIG = 1
+"""Source: prctl(2)."""
+GRACE_S = 1.5
+"""Time between the parent's end and a hard exit."""
+
+
+def follow_parent(expected_parent: int) -> None:
+    """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
+    if os.getppid() != expected_parent:
+        sys.exit("The parent process is gone.")
+
+
+def watch_stdin(on_end: Callable[[], None], grace_s: float = GRACE_S) -> threading.Thread:
+    """Call `on_end` when stdin ends, then leave the process the hard way after `grace_s` if it still runs."""
+
+    def watch() -> None:
+        while os.read(0, 4096):
+            pass
+        on_end()
+        threading.Event().wait(grace_s)
+        os._exit(3)
+
+    thread = threading.Thread(target=watch, name="lifeline", daemon=True)
+    thread.start()
+    return thread

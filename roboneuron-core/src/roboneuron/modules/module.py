@@ -1,0 +1,135 @@
+"""The frame of every module process: a managed node whose transitions call a `Module` and whose failures are told."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from std_msgs.msg import Bool
+
+from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
+from roboneuron.modules.status import ModuleStatus, StatusReporter
+from roboneuron.ros.qos import LATCHED
+
+_LOOP_PERIOD_S = 0.1
+log = logging.getLogger(__name__)
+
+
+class Module(ABC):
+    """Behaviour of one kind of module. Methods are called on the executor's thread.
+
+    Any of them may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
+    """
+
+    def __init__(self, node: ModuleNode) -> None:
+        self.node = node
+        self.settings = node.settings
+        self.config = node.settings.config
+        self.status = node.status
+
+    @abstractmethod
+    def configure(self) -> None:
+        """Acquire: load weights, open the device, create publishers and subscriptions."""
+
+    @abstractmethod
+    def activate(self) -> None:
+        """Let data out."""
+
+    @abstractmethod
+    def deactivate(self) -> None:
+        """Silence; must be possible in any state that `configure` left behind."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything; idempotent."""
+
+    def emergency_stop(self, latched: bool) -> None:  # noqa: B027
+        """The latch changed; modules that move the robot override this."""
+
+
+class ModuleNode(LifecycleNode):  # type: ignore[misc]
+    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module."""
+
+    def __init__(self, settings: ModuleSettings, build: Callable[[ModuleNode], Module]) -> None:
+        super().__init__(settings.node_name, namespace=settings.config.namespace)
+        self.settings = settings
+        self.status = ModuleStatus(settings.status_name)
+        self.stopped = False
+        self.status.set_value(StatusKey.EMERGENCY_STOP, False)
+        self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, LATCHED)
+        self.create_timer(_LOOP_PERIOD_S, self.status.tick_loop)
+        self.module = build(self)
+        self._reporter = StatusReporter(self, self.status)
+        self._reporter.start()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle callback."""
+        self.status.set_state("configuring")
+        result = self._attempt(self.module.configure, "inactive", otherwise="unconfigured")
+        if result is TransitionCallbackReturn.FAILURE:
+            self.module.close()
+        return result
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle callback."""
+        super().on_activate(state)
+        result = self._attempt(self.module.activate, "active", otherwise="inactive")
+        if result is TransitionCallbackReturn.FAILURE:
+            super().on_deactivate(state)
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle callback."""
+        result = self._attempt(self.module.deactivate, "inactive", otherwise="active")
+        super().on_deactivate(state)
+        return result
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle callback."""
+        return self._attempt(self.module.close, "unconfigured", otherwise="inactive")
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle callback."""
+        return self._attempt(self._shut_down, "finalized", otherwise="finalized")
+
+    def release(self) -> None:
+        """Stop reporting and release the module; called once the executor has stopped."""
+        try:
+            self._shut_down()
+        finally:
+            self._reporter.stop()
+
+    def _shut_down(self) -> None:
+        try:
+            self.module.deactivate()
+        finally:
+            self.module.close()
+
+    def _attempt(self, step: Callable[[], None], then: str, *, otherwise: str) -> TransitionCallbackReturn:
+        try:
+            step()
+        except RoboNeuronError as error:
+            log.error("%s: %s", then, error)
+            failure = error
+        except Exception as error:  # the module border: whatever a plugin raises must not end the process silently
+            log.exception("unexpected failure")
+            failure = InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
+        else:
+            self.status.clear_error()
+            self.status.set_state(then)
+            return TransitionCallbackReturn.SUCCESS
+        self.status.set_error(failure)
+        self.status.set_state(otherwise)
+        self._reporter.publish()
+        return TransitionCallbackReturn.FAILURE
+
+    def _on_emergency_stop(self, message: Bool) -> None:
+        if bool(message.data) == self.stopped:
+            return
+        self.stopped = bool(message.data)
+        self.module.emergency_stop(self.stopped)
+        self.status.set_value(StatusKey.EMERGENCY_STOP, self.stopped)
+        self.status.changed.set()

@@ -1,0 +1,124 @@
+"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import cast
+
+from rclpy.lifecycle import LifecyclePublisher
+from sensor_msgs.msg import Image
+
+from roboneuron.contract import CameraProfile, PerceptionSource
+from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
+from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.settings import StatusKey
+from roboneuron.modules.worker import Worker
+from roboneuron.plugins.discovery import discover
+from roboneuron.ros.host import NodeTopics
+from roboneuron.ros.messages import to_image
+from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.topics import camera_image
+
+_READ_TIMEOUT_S = 0.25
+SILENCE_S = 3.0
+"""A source that delivers nothing for this long is an error."""
+
+
+class PerceptionModule(Module):
+    """Publishes what one source delivers, for as many cameras as it serves."""
+
+    def __init__(self, node: ModuleNode) -> None:
+        super().__init__(node)
+        self._topics = NodeTopics(node)
+        self._source: PerceptionSource | None = None
+        self._publishers: dict[str, LifecyclePublisher] = {}
+        self._worker = Worker("perception", self._step, self.status)
+        self._newest_s = 0.0
+        self._missing: set[str] = set()
+
+    def configure(self) -> None:
+        """Open the source for the configured cameras."""
+        config = self.config.perception
+        if config is None:
+            raise ConfigurationError("The configuration has no [perception] section.")
+        registry = discover(self.config.disabled_plugins)
+        profile = load_profile(registry, self.config.robot.name)
+        cameras = _choose(profile.cameras, config.cameras, profile.name)
+        spec = registry.get("perception", config.source)
+        options = self.config.options(spec.name)
+        self._source = cast("PerceptionSource", build(spec, options, self._topics, cameras))
+        self._source.open()
+        for camera in cameras:
+            self._publishers[camera.name] = self.node.create_lifecycle_publisher(
+                Image, camera_image(camera.name), NEWEST
+            )
+        self.status.set_value("source", spec.name)
+        self.status.set_value("cameras", ",".join(self._publishers))
+
+    def activate(self) -> None:
+        """Start reading; ready once every camera has delivered."""
+        self._newest_s = time.monotonic()
+        self._missing = set(self._publishers)
+        self._announce_missing()
+        self._worker.start()
+
+    def deactivate(self) -> None:
+        """Stop reading."""
+        if not self._worker.stop():
+            raise NotReadyError(f"Source {self.config.perception} hangs in read().")
+
+    def close(self) -> None:
+        """Release the source and the topics."""
+        self._worker.stop()
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+        for publisher in self._publishers.values():
+            self.node.destroy_lifecycle_publisher(publisher)
+        self._publishers.clear()
+        self._topics.close()
+
+    def _announce_missing(self) -> None:
+        names = ", ".join(repr(name) for name in sorted(self._missing))
+        self.status.set_waiting(f"the first image of camera {names}")
+
+    def _step(self, stop: threading.Event) -> None:
+        assert self._source is not None
+        try:
+            frame = self._source.read(_READ_TIMEOUT_S)
+        except NotReadyError as error:
+            self.status.dropped.add("no_frame")
+            if time.monotonic() - self._newest_s > SILENCE_S:
+                self.status.set_error(error)
+            return
+        publisher = self._publishers.get(frame.camera)
+        if publisher is None:
+            raise PluginError(f"The source delivered camera {frame.camera!r}, asked for {sorted(self._publishers)}.")
+        if stop.is_set():
+            return
+        publisher.publish(to_image(frame))
+        self._newest_s = time.monotonic()
+        self.status.output.tick()
+        self.status.latency.add((self._topics.now_ns() - frame.stamp_ns) / 1e6)
+        self.status.set_value(f"{StatusKey.AGE_MS}.{frame.camera}", (self._topics.now_ns() - frame.stamp_ns) / 1e6)
+        self.status.clear_error()
+        if self._missing:
+            self._missing.discard(frame.camera)
+            if self._missing:
+                self._announce_missing()
+            else:
+                self.status.set_ready()
+
+
+def _choose(cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str) -> tuple[CameraProfile, ...]:
+    """The profiles of `names`, or all. Raises ConfigurationError with the choices."""
+    by_name = {camera.name: camera for camera in cameras}
+    unknown = [name for name in names if name not in by_name]
+    if unknown or not by_name:
+        raise ConfigurationError(
+            f"Robot {robot!r} has no camera {', '.join(map(repr, unknown)) or 'at all'};"
+            f" its cameras are {', '.join(map(repr, sorted(by_name))) or 'none'}."
+        )
+    return tuple(by_name[name] for name in names) if names else cameras

@@ -1,0 +1,199 @@
+"""Robot: executes joint commands with a driver and publishes what it measures; holds when commands cease."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, cast
+
+from rclpy.lifecycle import LifecyclePublisher
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from roboneuron.contract import JointCommand, RobotDriver
+from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.worker import Worker
+from roboneuron.plugins.discovery import discover
+from roboneuron.ros.host import NodeTopics
+from roboneuron.ros.messages import commands_from_trajectory, joints_from_message, to_joint_state
+from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
+
+_JOINT_STATE_STEP_S = 0.1
+"""Time given to reach a position that came without one (JointState commands)."""
+_DETAIL_PERIOD_S = 0.1
+
+
+class RobotModule(Module):
+    """Two threads beside the executor: one publishes measured states, one plays trajectories point by point."""
+
+    def __init__(self, node: ModuleNode) -> None:
+        super().__init__(node)
+        self._topics = NodeTopics(node)
+        self._driver: RobotDriver | None = None
+        self._states: LifecyclePublisher | None = None
+        self._subscriptions: list[object] = []
+        self._reader = Worker("robot-state", self._publish_state, self.status)
+        self._player = Worker("robot-command", self._play, self.status)
+        self._next_state_s = 0.0
+        self._detail_s = 0.0
+        self._pending: list[JointCommand] = []
+        self._arrived = threading.Condition()
+        self._moving = False
+        self._command_s = 0.0
+        self._active = False
+
+    def configure(self) -> None:
+        """Connect to the robot or start the simulation; it holds where it is."""
+        registry = discover(self.config.disabled_plugins)
+        robot = registry.get("robot", self.config.robot.name)
+        spec = robot.driver(self.config.robot.driver)
+        if spec is None:
+            names = ", ".join(repr(driver.name) for driver in robot.drivers)
+            raise ConfigurationError(
+                f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers are {names}."
+            )
+        profile = load_profile(registry, robot.name)
+        options = self.config.options(robot.name)
+        self._driver = cast("RobotDriver", build(spec, options, profile, self._topics))
+        self._driver.open()
+        self._states = self.node.create_lifecycle_publisher(JointState, JOINT_STATES, NEWEST)
+        self._subscriptions = [
+            self.node.create_subscription(JointTrajectory, JOINT_TRAJECTORY, self._on_trajectory, NEWEST),
+            self.node.create_subscription(JointState, JOINT_COMMAND, self._on_joint_command, NEWEST),
+        ]
+        self.status.set_value("driver", spec.name)
+
+    def activate(self) -> None:
+        """Publish states and accept commands."""
+        self.status.set_waiting("the first joint state from the driver")
+        self._next_state_s = time.monotonic()
+        self._active = True
+        self._reader.start()
+        self._player.start()
+
+    def deactivate(self) -> None:
+        """Hold, then fall silent."""
+        self._active = False
+        with self._arrived:
+            self._pending = []
+            self._arrived.notify()
+        player_ended = self._player.stop()
+        if self._driver is not None:
+            self._driver.hold()
+        if not (self._reader.stop() and player_ended):
+            raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
+
+    def close(self) -> None:
+        """Disconnect from the robot."""
+        self._active = False
+        self._player.stop()
+        self._reader.stop()
+        for subscription in self._subscriptions:
+            self.node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+        if self._states is not None:
+            self.node.destroy_lifecycle_publisher(self._states)
+            self._states = None
+        if self._driver is not None:
+            self._driver.close()
+            self._driver = None
+        self._topics.close()
+
+    def emergency_stop(self, latched: bool) -> None:
+        """Hold at once and drop what was to be executed; refuse commands as long as the latch is set."""
+        if not latched:
+            return
+        with self._arrived:
+            self._pending = []
+            self._arrived.notify()
+        if self._driver is not None:
+            self._driver.hold()
+
+    def _on_trajectory(self, message: JointTrajectory, info: dict[str, Any]) -> None:
+        if self._accepts(info):
+            self._take(lambda: commands_from_trajectory(message))
+
+    def _on_joint_command(self, message: JointState, info: dict[str, Any]) -> None:
+        def read() -> list[JointCommand]:
+            joints = joints_from_message(message)
+            return [JointCommand(names=joints.names, position=joints.position, duration_s=_JOINT_STATE_STEP_S)]
+
+        if self._accepts(info):
+            self._take(read)
+
+    def _accepts(self, info: dict[str, Any]) -> bool:
+        if not self._active:
+            return False
+        if self.node.stopped:
+            self.status.dropped.add("emergency_stop")
+            return False
+        if (time.time_ns() - int(info["source_timestamp"])) / 1e9 > self.config.robot.command_timeout_s:
+            self.status.dropped.add("stale_command")
+            return False
+        self.status.latency.add((time.time_ns() - int(info["source_timestamp"])) / 1e6)
+        return True
+
+    def _take(self, read: Any) -> None:
+        try:
+            commands = read()
+        except InvalidInputError as error:
+            self.status.dropped.add("malformed_command")
+            self.status.set_error(error)
+            return
+        with self._arrived:
+            self._pending = commands
+            self._arrived.notify()
+
+    def _play(self, stop: threading.Event) -> None:
+        """Send the next pending command; a newer trajectory replaces what is left of the older one."""
+        assert self._driver is not None
+        with self._arrived:
+            if not self._arrived.wait_for(lambda: bool(self._pending) or stop.is_set(), timeout=0.05):
+                self._hold_when_silent()
+                return
+            if stop.is_set():
+                return
+            plan = self._pending
+            command = plan.pop(0)
+        try:
+            sent = self._driver.send(command)
+        except RoboNeuronError as error:
+            self.status.dropped.add("refused_command")
+            self.status.set_error(error)
+            return
+        self._moving, self._command_s = True, time.monotonic() + sent.duration_s
+        self.status.clear_error()
+        self.status.set_value("note", "moving")
+        with self._arrived:
+            if plan:
+                self._arrived.wait_for(lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s)
+
+    def _hold_when_silent(self) -> None:
+        if self._moving and time.monotonic() - self._command_s > self.config.robot.command_timeout_s:
+            assert self._driver is not None
+            self._driver.hold()
+            self._moving = False
+            self.status.set_value("note", "holding: no command")
+
+    def _publish_state(self, stop: threading.Event) -> None:
+        assert self._driver is not None
+        assert self._states is not None
+        delay_s = self._next_state_s - time.monotonic()
+        if delay_s > 0:
+            stop.wait(delay_s)
+        self._next_state_s = max(self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05)
+        if stop.is_set():
+            return
+        state = self._driver.read()
+        self._states.publish(to_joint_state(state.joints))
+        self.status.output.tick()
+        self.status.set_ready()
+        now_s = time.monotonic()
+        if now_s - self._detail_s > _DETAIL_PERIOD_S:
+            self._detail_s = now_s
+            self.status.set_details(state.detail)
+            if state.gripper_open is not None:
+                self.status.set_value("gripper_open", float(state.gripper_open))

@@ -1,0 +1,56 @@
+"""A thread that repeats one step while its module is active and reports what goes wrong."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.modules.status import ModuleStatus
+
+_RETRY_S = 0.05
+log = logging.getLogger(__name__)
+
+
+class Worker:
+    """Runs `step` over and over on one thread between `start` and `stop`.
+
+    A failing step is reported and tried again after 50 ms; `step` gets the event that ends the loop and should wait on
+    nothing longer than a fraction of a second.
+    """
+
+    def __init__(self, name: str, step: Callable[[threading.Event], None], status: ModuleStatus) -> None:
+        self._name = name
+        self._step = step
+        self._status = status
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Start the thread; it must not be running."""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(self._stop,), name=self._name, daemon=True)
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 2.0) -> bool:
+        """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent."""
+        self._stop.set()
+        thread, self._thread = self._thread, None
+        if thread is None or thread is threading.current_thread():
+            return True
+        thread.join(timeout_s)
+        return not thread.is_alive()
+
+    def _run(self, stop: threading.Event) -> None:
+        while not stop.is_set():
+            try:
+                self._step(stop)
+            except RoboNeuronError as error:
+                self._status.set_error(error)
+            except Exception as error:  # the module border: plugins may raise anything
+                log.exception("%s failed", self._name)
+                self._status.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
+            else:
+                continue
+            stop.wait(_RETRY_S)
