@@ -1,0 +1,195 @@
+"""What a backend built on a language model asks of a runtime: the model at `load`, one request at `run`.
+
+numpy only, so that a backend, an in-process runtime and a served one agree without sharing an engine. Nothing here
+names a model family; which kinds of request a runtime answers for which families is said by its descriptor.
+
+A runtime reads what it can use: in process, the weights, the ids and the prepared arrays; served, the text and the
+images. Both give the same reply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DecoderShape:
+    """A Llama-shaped decoder: RMSNorm, rotary positions, gated SiLU, no biases, untied output head.
+
+    Attributes:
+        hidden, intermediate: widths of the residual stream and of the gated layer.
+        layers, heads, key_value_heads: counts; `heads` is a multiple of `key_value_heads`.
+        vocabulary: rows of the embedding and of the output head.
+        norm_epsilon, rope_theta: of RMSNorm and of the rotary positions.
+        max_positions: longest sequence.
+    """
+
+    hidden: int
+    intermediate: int
+    layers: int
+    heads: int
+    key_value_heads: int
+    vocabulary: int
+    norm_epsilon: float
+    rope_theta: float
+    max_positions: int
+
+    @property
+    def head_width(self) -> int:
+        """Values per head."""
+        return self.hidden // self.heads
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Weight:
+    """One tensor of a checkpoint file.
+
+    Attributes:
+        shape: as the file must hold it.
+        target: where an in-process runtime puts it: "decoder.<name in the Hugging Face Llama layout>",
+            "front.<parameter>" or "back.<parameter>"; empty for a tensor that is on disk and never computed with.
+    """
+
+    shape: tuple[int, ...]
+    target: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shard:
+    """One weight file, `.safetensors` or a state dictionary saved by torch (`.pt`).
+
+    Attributes:
+        path: the file.
+        weights: exactly the tensors it holds, by their names in the file.
+    """
+
+    path: Path
+    weights: Mapping[str, Weight]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Prompt:
+    """What the model is shown, in both forms.
+
+    Attributes:
+        text: the whole prompt, as a served engine gets it.
+        ids: int64 (n,), the same as token ids, first and last special ids included.
+        images: uint8 (H, W, 3) RGB, one per camera in the model's order, as the model's own processor would get them.
+        arrays: float32 inputs of the front by name ("pixel_values" ...), without batch dimension.
+    """
+
+    text: str
+    ids: I64
+    images: tuple[U8, ...]
+    arrays: Mapping[str, F32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TokenRequest:
+    """Decode greedily after the prompt, causally. Capability word: "token-decode".
+
+    Attributes:
+        prompt: what the model is shown.
+        max_new_tokens: exactly so many are decoded; there is no end token.
+        deadline_s: `time.monotonic()` after which nobody wants the answer; None for no deadline.
+        with_logits: also return the logits behind the first token (a served runtime may refuse).
+    """
+
+    prompt: Prompt
+    max_new_tokens: int
+    deadline_s: float | None = None
+    with_logits: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TokenReply:
+    """Answer to a `TokenRequest`.
+
+    Attributes:
+        tokens: int64 (max_new_tokens,).
+        logits: float32 (vocabulary,) at the last prompt position, or None when not asked for.
+        metrics: numbers worth watching, in milliseconds or tokens.
+    """
+
+    tokens: I64
+    logits: F32 | None = None
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RowsRequest:
+    """One pass in which every position sees every other; read some rows near the end.
+    Capability word: "bidirectional-hidden".
+
+    Attributes:
+        prompt: what the model is shown; its ids hold the placeholders too.
+        rows: number of rows to read.
+        tail: number of rows after them.
+        read: "output" the back module's result, "hidden" the rows after the final norm, "tokens" their best ids.
+        deadline_s: as in `TokenRequest`.
+    """
+
+    prompt: Prompt
+    rows: int
+    tail: int
+    read: Literal["output", "hidden", "tokens"] = "output"
+    deadline_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RowsReply:
+    """Answer to a `RowsRequest`.
+
+    Attributes:
+        values: float32, the back module's shape, or (rows, hidden), or (rows,) ids.
+        metrics: as in `TokenReply`.
+    """
+
+    values: F32
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+Request = TokenRequest | RowsRequest
+"""What `Runtime.run` takes for the families of language-model policies."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PolicyModel:
+    """A language-model policy, as a backend hands it to `Runtime.load`.
+
+    Attributes:
+        family: as in the descriptors.
+        checkpoint: its directory; a served runtime compares the name with what the server says it serves.
+        decoder: shape of the language model.
+        shards: every weight file; an in-process runtime reads one after the other.
+        visual_tokens: how many positions after the first one hold image patches.
+        max_prompt_tokens: longest `Prompt.ids`.
+        max_new_tokens: most tokens any request decodes; 0 for families that decode none.
+        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds.
+        example: a request with so many prompt ids, to warm up with.
+        build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives the decoder's
+            input (1, positions, hidden); `embed` looks ids up. Its parameters are the targets "front.*".
+        build_back: likewise for what follows the read rows (1, rows, hidden); None for nothing.
+    """
+
+    family: str
+    checkpoint: Path
+    decoder: DecoderShape
+    shards: tuple[Shard, ...]
+    visual_tokens: int
+    max_prompt_tokens: int
+    max_new_tokens: int
+    example: Callable[[int], Request]
+    build_front: Callable[[], Any]
+    build_back: Callable[[], Any] | None = None
+    extra_tokens: int = 0
