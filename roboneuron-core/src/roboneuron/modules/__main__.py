@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 
 from pydantic import ValidationError
 
@@ -27,7 +28,8 @@ def _read_line() -> str:
 
 def _run(settings: ModuleSettings) -> None:
     import rclpy  # heavy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
 
     from roboneuron.modules.module import Module, ModuleNode
 
@@ -48,15 +50,21 @@ def _run(settings: ModuleSettings) -> None:
 
         return RobotModule(node)
 
-    rclpy.init()
+    # rclpy's own handlers end the context first: then nobody could publish a last hold.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
     node = ModuleNode(settings, build)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch_stdin(lambda: os.kill(os.getpid(), signal.SIGTERM))
+    watch_stdin(stop.set)
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        logging.getLogger(__name__).info("asked to stop")
+        while not stop.is_set():  # wakes at least every 0.1 s: the node's loop timer
+            try:
+                executor.spin_once()
+            except Exception as error:  # the module border: a plugin's callback may raise anything
+                node.report_unexpected(error)
     finally:
         node.release()
         node.destroy_node()

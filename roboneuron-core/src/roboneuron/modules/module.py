@@ -95,10 +95,17 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Lifecycle callback."""
         return self._attempt(self._shut_down, "finalized", otherwise="finalized")
 
+    def report_unexpected(self, error: Exception) -> None:
+        """A callback raised what nobody expected: log it and say so; the module goes on."""
+        log.error("a callback failed", exc_info=error)
+        self.status.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
+
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped."""
         try:
             self._shut_down()
+        except RoboNeuronError as error:
+            log.error("while leaving: %s", error)
         finally:
             self._reporter.stop()
 
