@@ -1,0 +1,31 @@
+"""The table of commands; adding one is a module here and a line in it."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from typing import NamedTuple, Protocol
+
+
+class Command(NamedTuple):
+    """Where a command lives and what it does in one line."""
+
+    module: str
+    summary: str
+
+
+class CommandModule(Protocol):
+    """What a command's module holds."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the command's arguments to its parser."""
+        ...
+
+    def run(self, arguments: Namespace) -> int:
+        """Do it and return the exit status; a RoboNeuronError is shown by `main` and ends with status 2."""
+        ...
+
+
+COMMANDS: dict[str, Command] = {
+    "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
+}
+"""Command by name, in the order of `roboneuron --help`."""

@@ -1,0 +1,80 @@
+"""`roboneuron plugins show NAME`: every fact a descriptor states, and the traceback of what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
+
+from roboneuron.cli.plugin_listing import STYLES, offers_of
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.record import Offer, PluginRecord
+from roboneuron.plugins.registry import Registry
+
+
+def find(registry: Registry, name: str, kind: str | None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
+    """The plugins that `name` means, each with the offers it means: all for a distribution, else those of that name.
+
+    Raises:
+        ConfigurationError: nothing has that name; names the nearest.
+    """
+    found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
+    names: set[str] = set()
+    for record in registry.plugins:
+        offers = tuple(o for o in offers_of(registry, record) if kind is None or o.spec.kind == kind)
+        named = offers if record.distribution == name else tuple(o for o in offers if o.spec.name == name)
+        names |= {record.distribution, *(o.spec.name for o in offers)}
+        if named or record.distribution == name:
+            found.append((record, named))
+    if not found:
+        close = get_close_matches(name, names, n=1)
+        nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
+        raise ConfigurationError(
+            f"No installed plugin or offer{f' of kind {kind}' if kind else ''} is {name!r}.", hint=nearest
+        )
+    return found
+
+
+def show(registry: Registry, name: str, kind: str | None) -> int:
+    """Print all about `name` and return the exit status."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False, soft_wrap=True)
+    for record, offers in find(registry, name, kind):
+        heading = Text.assemble((f"{record.distribution} {record.version}".strip(), "bold"), "  ")
+        console.print(heading.append(record.status, style=STYLES[record.status]))
+        console.print(Text(f"  module: {record.module}"))
+        if record.reason:
+            console.print(Text(f"  reason: {record.reason}"))
+        for offer in offers:
+            console.print(
+                Text.assemble("\n  ", offer.spec.kind, " ", (offer.spec.name, "bold"), "  ").append(
+                    offer.status, style=STYLES[offer.status]
+                )
+            )
+            for key, value in facts(offer.spec):
+                console.print(Text(f"    {key}: {value}"))
+        if record.traceback:
+            console.print(Text(f"\n{record.traceback.rstrip()}", style="dim"))
+    return 0
+
+
+def facts(value: object, skip: Sequence[str] = ("name",)) -> Iterator[tuple[str, str]]:
+    """The fields of a descriptor as text, in the order of its class; empty ones are left out."""
+    for field in fields(value):  # type: ignore[arg-type]
+        item: object = getattr(value, field.name)
+        if field.name in skip or item in ((), "", None):
+            continue
+        yield field.name, _text(item)
+
+
+def _text(item: object) -> str:
+    if isinstance(item, tuple):
+        nested = any(is_dataclass(part) for part in item)
+        return ("; " if nested else ", ").join(_text(part) for part in item)
+    if is_dataclass(item):
+        return ", ".join(f"{key}={text}" for key, text in facts(item, skip=()))
+    if isinstance(item, bool):
+        return "yes" if item else "no"
+    return str(item)
