@@ -1,0 +1,66 @@
+# Every target sets up what it needs in .venv; nothing else has to be installed but Python >= 3.11 and make.
+# Options reach the demo through ARGS:  make demo ARGS="--seed 7 --instruction 'grab the blue block'"
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+ARGS ?=
+
+DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo
+ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
+SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
+PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
+
+.PHONY: help demo test test-all check format bench bench-vla reference clean
+
+help: ## show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+demo: $(VENV)/.demo ## an agent picks up a cube with a simulated FR3
+	@$(BIN)/roboneuron demo $(ARGS)
+
+test: $(VENV)/.develop ## the default test suite
+	$(BIN)/python -m pytest -m "not gpu and not hardware and not slow" $(ARGS)
+
+test-all: $(VENV)/.develop ## the default suite and the slow tests
+	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)
+
+check: $(VENV)/.develop ## lint, format and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy $(SOURCES)
+
+format: $(VENV)/.develop ## put the code into shape
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables of docs/benchmarks.md
+	$(BIN)/python benchmarks/bench_plugins_list.py
+	$(BIN)/python benchmarks/bench_ik.py
+	$(BIN)/python benchmarks/bench_loop.py
+	$(BIN)/python benchmarks/bench_start_stop.py
+	$(BIN)/python benchmarks/bench_servo.py
+
+bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
+	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
+
+clean: ## remove the virtual environment and everything the demo wrote
+	rm -rf $(VENV) out
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python >= 3.11 is needed, this is " + sys.version.split()[0])'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo: $(PROJECTS) | $(BIN)/python
+	@echo "Setting up $(VENV) (once, about two minutes) ..."
+	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(DEMO_PACKAGES))
+	@touch $@
+
+# torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
+$(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
+	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
+	$(PIP) torch==2.13.0
+	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(ALL_PACKAGES)) \
+	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables
+	@touch $@ $(VENV)/.demo
