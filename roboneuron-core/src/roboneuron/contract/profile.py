@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,13 @@ class CameraProfile:
     width: int
     height: int
     calibration: CameraCalibration | None = None
+
+    def calibration_at(self, width: int, height: int) -> CameraCalibration | None:
+        """Calibration of an image of `width` x `height` [px]; None when the aspect ratio is not the nominal one."""
+        if self.calibration is None or width * self.height != height * self.width:
+            return None
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return replace(self.calibration, intrinsics=scale @ self.calibration.intrinsics)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -56,7 +56,9 @@ class Backend(Protocol):
 
         Raises:
             UngroundedError: cannot act on this observation; nothing is published and the status says why.
-            UnsafeError: the model produced non-finite values; nothing is published.
+            UnsafeError: the model produced non-finite values, or the observation holds some; nothing is published.
+            InvalidInputError: a frame or a part of the state that the descriptor declares is absent.
+            StateError: before `load` or after `close`.
         """
         ...
 
@@ -82,7 +84,11 @@ class Runtime(Protocol):
         ...
 
     def run(self, request: Any) -> Any:
-        """Execute one request of the family; blocks until the answer or the request's deadline."""
+        """Execute one request of the family; blocks until the answer or the request's deadline.
+
+        Raises:
+            StateError: before `load` or after `close`.
+        """
         ...
 
     def abort(self) -> None:
@@ -99,7 +105,11 @@ class Acceleration(Protocol):
     """A named preset that changes how a loaded model is executed. Built as `target(config)`."""
 
     def apply(self, decoder: Any) -> None:
-        """Install the preset into a decoder of a runtime that has the capability the descriptor requires."""
+        """Install the preset into a decoder of a runtime that has the capability the descriptor requires.
+
+        Raises:
+            InvalidInputError: the decoder is of a kind that the preset does not know.
+        """
         ...
 
 
@@ -112,7 +122,12 @@ class PerceptionSource(Protocol):
         ...
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the next frame, of any of the cameras. Raises NotReadyError when none came within `timeout_s`."""
+        """Return the next frame, of any of the cameras; its image is not written to afterwards.
+
+        Raises:
+            NotReadyError: none came within `timeout_s`.
+            StateError: before `open` or after `close`.
+        """
         ...
 
     def close(self) -> None:
@@ -150,7 +165,7 @@ class RobotDriver(Protocol):
         ...
 
     def read(self) -> RobotState:
-        """Return the newest measured state without blocking for more than a millisecond."""
+        """Return the newest measured state without blocking for more than a millisecond. Raises StateError unless open."""
         ...
 
     def send(self, command: JointCommand) -> JointCommand:

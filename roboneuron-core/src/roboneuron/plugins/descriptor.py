@@ -48,6 +48,8 @@ def _check_identity(spec: Spec, who: str) -> None:
     _check_target(spec.target, f"`target` of {who}")
     if spec.config is not None:
         _check_target(spec.config, f"`config` of {who}")
+    if spec.case is not None:
+        _check_target(spec.case, f"`case` of {who}")
     for requirement in spec.requires:
         if not requirement.module.isidentifier():
             raise PluginError(f"{who} requires {requirement.module!r}, expected a top-level module name.")
