@@ -1,0 +1,73 @@
+"""Where the cubes really are and how long one has been lifted: for judging, never for policies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_fr3.scene import Cube
+
+F64 = NDArray[np.float64]
+RawPose = tuple[tuple[float, ...], tuple[float, ...]]
+
+LIFTED_M = 0.10
+"""A cube counts as lifted when its centre is at least this much above where it rests on the table."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CubeState:
+    """A cube's true state.
+
+    Attributes:
+        name: its colour.
+        edge_m: length of its edges.
+        position_m: float64 (3,), centre in the base frame.
+        quaternion_xyzw: float64 (4,).
+        lifted_m: height of the centre above its height at rest on the table.
+        held_s: simulated seconds for which `lifted_m` has been at least `LIFTED_M` without a break; 0 when it is not.
+    """
+
+    name: str
+    edge_m: float
+    position_m: F64
+    quaternion_xyzw: F64
+    lifted_m: float
+    held_s: float
+
+
+class LiftClock:
+    """Measures how long each cube has been lifted."""
+
+    def __init__(self, scene: Sequence[Cube]) -> None:
+        self._edge_m = {cube.name: cube.edge_m for cube in scene}
+        self._lifted_since_s: dict[str, float] = {}
+        self._now_s = 0.0
+
+    def _lifted_m(self, name: str, pose: RawPose) -> float:
+        return pose[0][2] - self._edge_m[name] / 2
+
+    def observe(self, now_s: float, poses: Mapping[str, RawPose]) -> None:
+        """Note the poses by cube name at simulated time `now_s`; to be called at least every 1/60 s."""
+        self._now_s = now_s
+        for name, pose in poses.items():
+            if self._lifted_m(name, pose) >= LIFTED_M:
+                self._lifted_since_s.setdefault(name, now_s)
+            else:
+                self._lifted_since_s.pop(name, None)
+
+    def states(self, poses: Mapping[str, RawPose]) -> dict[str, CubeState]:
+        """The cubes' states at the last time observed, by name."""
+        return {
+            name: CubeState(
+                name=name,
+                edge_m=self._edge_m[name],
+                position_m=np.array(position),
+                quaternion_xyzw=np.array(rotation),
+                lifted_m=self._lifted_m(name, (position, rotation)),
+                held_s=self._now_s - self._lifted_since_s.get(name, self._now_s),
+            )
+            for name, (position, rotation) in poses.items()
+        }

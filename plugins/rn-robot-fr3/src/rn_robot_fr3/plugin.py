@@ -1,0 +1,50 @@
+"""What this package offers: the robot "fr3" with its simulated driver, and the cameras of that simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec
+
+_PYBULLET = Requirement(module="pybullet", install="pip install pybullet")
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    """The Franka Research 3."""
+    return [
+        RobotSpec(
+            name="fr3",
+            summary="Franka Research 3: 7-joint arm with gripper, a camera beside the table and one at the wrist",
+            target="rn_robot_fr3.profile:profile",
+            robot_kind="arm",
+            cameras=(CameraSpec(name="front", role="primary"), CameraSpec(name="wrist", role="wrist")),
+            action_widths=(7,),
+            drivers=(
+                DriverSpec(
+                    name="simulated",
+                    summary="PyBullet simulation: a table with coloured cubes in random places",
+                    target="rn_robot_fr3.driver:SimulatedDriver",
+                    config="rn_robot_fr3.options:SimulatedDriverOptions",
+                    requires=(_PYBULLET,),
+                ),
+            ),
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """The cameras of the simulated FR3."""
+    return [
+        PerceptionSpec(
+            name="fr3-sim-camera",
+            summary="Front and wrist camera of the simulated FR3, drawn on the CPU",
+            target="rn_robot_fr3.camera_source:SimulatedCameras",
+            config="rn_robot_fr3.options:SimulatedCamerasOptions",
+            requires=(_PYBULLET,),
+            robots=("fr3",),
+            drivers=("simulated",),
+        )
+    ]

@@ -1,0 +1,75 @@
+"""The FR3's profile: what is true of the robot whichever driver moves it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rn_robot_fr3.cameras import cameras
+from rn_robot_fr3.description import BASE_LINK, TCP_LINK, urdf
+from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
+from roboneuron.contract import Endpoint, GripperProfile, RobotProfile, Workspace
+
+HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
+"""The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""
+
+WORKSPACE_LOWER_M = (0.22, -0.45, 0.010)
+"""At the lowest TCP height the fingertips, 9 mm beyond the TCP, are still above the table."""
+WORKSPACE_UPPER_M = (0.75, 0.45, 0.75)
+
+
+def _endpoints() -> tuple[Endpoint, ...]:
+    images = tuple(
+        Endpoint(
+            name=f"{camera.name}_image",
+            kind="read",
+            topic=f"camera/{camera.name}/image",
+            type="sensor_msgs/msg/Image",
+            summary=f"Newest image of the {camera.name} camera.",
+        )
+        for camera in cameras()
+    )
+    return (
+        Endpoint(
+            name="joint_trajectory",
+            kind="publish",
+            topic="joint_trajectory",
+            type="trajectory_msgs/msg/JointTrajectory",
+            summary="Move arm joints fr3_joint1..7 [rad] and the finger fr3_finger_joint1 [m, 0 closed .. 0.04 open].",
+            rate_hz=50.0,
+            joint_limited=True,
+        ),
+        Endpoint(
+            name="joint_states",
+            kind="read",
+            topic="joint_states",
+            type="sensor_msgs/msg/JointState",
+            summary="Measured positions and velocities of the arm joints and fingers.",
+        ),
+        Endpoint(
+            name="ee_pose",
+            kind="read",
+            topic="ee_pose",
+            type="geometry_msgs/msg/PoseStamped",
+            summary="Measured pose of the TCP (between the fingertips) in the base frame.",
+        ),
+        *images,
+    )
+
+
+def profile() -> RobotProfile:
+    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at the wrist."""
+    return RobotProfile(
+        name="fr3",
+        urdf=urdf(),
+        base_link=BASE_LINK,
+        tcp_link=TCP_LINK,
+        arm_joints=ARM_JOINTS,
+        limits=joint_limits(),
+        home_rad=np.array(HOME_RAD),
+        gripper=GripperProfile(joint=FINGER_JOINT, closed_position=0.0, open_position=FINGER_OPEN_M),
+        cameras=tuple(camera.profile() for camera in cameras()),
+        workspace=Workspace(lower_m=np.array(WORKSPACE_LOWER_M), upper_m=np.array(WORKSPACE_UPPER_M)),
+        endpoints=_endpoints(),
+    )

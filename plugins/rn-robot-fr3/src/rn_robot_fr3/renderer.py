@@ -1,0 +1,82 @@
+"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither display nor GPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from roboneuron.contract import CameraCalibration
+
+F64 = NDArray[np.float64]
+
+NEAR_M = 0.02
+FAR_M = 8.0
+
+
+_CLEARED_DEPTH = 0.99999
+_BACKDROP_TOP_RGB = (196, 205, 216)
+_BACKDROP_BOTTOM_RGB = (122, 130, 142)
+
+
+def _backdrop(height: int) -> NDArray[np.uint8]:
+    """Colour of the empty background by row, (height, 1, 3): a floor to fill it would cost 10 ms per image."""
+    blend = np.linspace(0.0, 1.0, height)[:, None, None]
+    rows = (1.0 - blend) * np.array(_BACKDROP_TOP_RGB) + blend * np.array(_BACKDROP_BOTTOM_RGB)
+    colours: NDArray[np.uint8] = rows.astype(np.uint8)
+    return colours
+
+
+def _view(T_base_camera: F64) -> list[float]:
+    """OpenGL view matrix, column by column: the GL camera looks along -z with y up."""
+    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(T_base_camera)
+    return [float(value) for value in matrix.T.ravel()]
+
+
+def _projection(intrinsics: F64, width: int, height: int) -> list[float]:
+    """OpenGL projection matrix, column by column, of a pinhole camera.
+
+    TinyRenderer samples a pixel at its lower left corner where the contract says its centre; the image is shifted by
+    that half pixel, left and down (without it, projected cubes lie 0.5 px beside their pixels in u and in v).
+    """
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 * intrinsics[0, 0] / width
+    matrix[1, 1] = 2.0 * intrinsics[1, 1] / height
+    matrix[0, 2] = 1.0 - 2.0 * (intrinsics[0, 2] - 0.5) / width
+    matrix[1, 2] = 2.0 * (intrinsics[1, 2] + 0.5) / height - 1.0
+    matrix[2, 2] = -(FAR_M + NEAR_M) / (FAR_M - NEAR_M)
+    matrix[2, 3] = -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    matrix[3, 2] = -1.0
+    return [float(value) for value in matrix.T.ravel()]
+
+
+def render(
+    client: int, calibration: CameraCalibration, T_base_mount: F64, width: int, height: int
+) -> NDArray[np.uint8]:
+    """Draw what the camera sees, uint8 (H, W, 3) RGB, without shadows.
+
+    Args:
+        client: PyBullet physics client id.
+        calibration: intrinsics for `width` x `height` and the camera's pose in its mount frame.
+        T_base_mount: float64 (4, 4), pose of the mount frame in the base frame.
+    """
+    _, _, pixels, depth, _ = pybullet.getCameraImage(
+        width,
+        height,
+        viewMatrix=_view(T_base_mount @ calibration.T_mount_camera),
+        projectionMatrix=_projection(calibration.intrinsics, width, height),
+        lightDirection=[1.2, 0.8, 2.5],
+        lightColor=[1.0, 1.0, 1.0],
+        lightAmbientCoeff=0.55,
+        lightDiffuseCoeff=0.45,
+        lightSpecularCoeff=0.08,
+        shadow=0,
+        flags=pybullet.ER_NO_SEGMENTATION_MASK,
+        renderer=pybullet.ER_TINY_RENDERER,
+        physicsClientId=client,
+    )
+    rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+    image = np.ascontiguousarray(rgba[:, :, :3])
+    empty = np.asarray(depth, dtype=np.float32).reshape(height, width) >= _CLEARED_DEPTH
+    np.copyto(image, _backdrop(height), where=empty[:, :, None])
+    return image
