@@ -26,6 +26,7 @@ class CommandModule(Protocol):
 
 
 COMMANDS: dict[str, Command] = {
+    "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
 }
 """Command by name, in the order of `roboneuron --help`."""

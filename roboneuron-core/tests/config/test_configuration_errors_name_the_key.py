@@ -1,0 +1,76 @@
+"""roboneuron.toml: what is wrong is named with file, key and the nearest valid key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from roboneuron.cli.config import reference
+from roboneuron.config import load_config, parse_config
+from roboneuron.errors import ConfigurationError
+
+MINIMAL = '[robot]\nname = "arm"\n'
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_embedded_default_is_valid() -> None:
+    config = load_config()
+    assert config.inference is not None
+    assert config.perception is not None
+    assert config.control is not None
+
+
+def test_namespace_is_the_robot_name_unless_given() -> None:
+    assert parse_config('[robot]\nname = "my-arm"\n').namespace == "my_arm"
+    assert parse_config('[robot]\nname = "my-arm"\nnamespace = "cell/left"\n').namespace == "cell/left"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "[robot]\nname='arm'\ncommand_timeout_ms = 300",
+            "'robot.command_timeout_ms'. Did you mean 'command_timeout_s'",
+        ),
+        (MINIMAL + "[contrl]\n", "'contrl'. Did you mean 'control'"),
+        (MINIMAL + "[control]\ncontroller='x'\naction_timeout = 1.0", "Did you mean 'action_timeout_s'"),
+        (
+            MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = 0.0",
+            "action_timeout_s = 0.0: input should be greater",
+        ),
+        (MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = '1 s'", "control.action_timeout_s = '1 s'"),
+        (MINIMAL + "[control]\ncontroller='x'\ncommand = 'torque'", "'joint_trajectory' or 'joint_state'"),
+        (MINIMAL + "[inference]\nbackend = 'Not A Name'", "inference.backend = 'Not A Name'"),
+        ("[robot]\ndriver = 'simulated'", "'robot.name' is missing"),
+        ("[robot\n", "is not valid TOML"),
+        ("[robot]\nname='arm'\nnamespace='../up'", "robot.namespace = '../up'"),
+    ],
+)
+def test_error_names_file_key_and_what_is_valid(text: str, expected: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(text, source="lab.toml")
+    assert str(caught.value).startswith("lab.toml")
+    assert expected in str(caught.value)
+
+
+def test_every_error_is_reported_at_once() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config("[robot]\nnam = 'arm'\nstate_rate_hz = 1\n")
+    assert "'robot.nam'" in str(caught.value)
+    assert "state_rate_hz" in str(caught.value)
+
+
+def test_missing_file_is_a_configuration_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_config(tmp_path / "absent.toml")
+
+
+def test_integers_are_accepted_where_seconds_are_meant() -> None:
+    config = parse_config(MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = 1\n")
+    assert config.control is not None
+    assert config.control.action_timeout_s == 1.0
+
+
+def test_configuration_page_is_current() -> None:
+    assert (DOCS / "configuration.md").read_text(encoding="utf-8") == reference()

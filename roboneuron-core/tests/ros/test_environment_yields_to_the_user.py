@@ -1,0 +1,67 @@
+"""Defaults for ROS from wheels are set only where the user has set nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from roboneuron.errors import ConfigurationError
+from roboneuron.ros.environment import BOOTSTRAP_GUARD, fast_dds_profile, module_environment, set_defaults
+
+PREFIX = "/venv"
+
+
+def defaults(**given: str) -> dict[str, str]:
+    environment = dict(given)
+    set_defaults(environment, prefix=PREFIX, log_directory=Path("logs"))
+    return environment
+
+
+def test_an_empty_environment_gets_every_default() -> None:
+    environment = defaults()
+    assert environment["AMENT_PREFIX_PATH"] == PREFIX
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(fast_dds_profile())
+    assert environment["ROS_LOG_DIR"] == "logs"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("AMENT_PREFIX_PATH", "/venv:/overlay"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "mine.xml"),
+        ("ROS_LOG_DIR", "elsewhere"),
+    ],
+)
+def test_what_the_user_set_stays(key: str, value: str) -> None:
+    assert defaults(**{key: value})[key] == value
+
+
+@pytest.mark.parametrize("key", ["ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"])
+def test_discovery_range_is_left_alone_when_discovery_is_configured_otherwise(key: str) -> None:
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in defaults(**{key: "x"})
+
+
+def test_profile_is_left_alone_when_transports_are_configured_otherwise() -> None:
+    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in defaults(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+
+
+def test_a_sourced_ros_installation_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="ROS jazzy is sourced"):
+        defaults(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH="/opt/ros/jazzy")
+
+
+def test_shipped_profile_has_a_32_mib_segment() -> None:
+    sizes = [e.text for e in ElementTree.parse(fast_dds_profile()).iter() if e.tag.endswith("segment_size")]
+    assert sizes == [str(32 * 2**20)]
+
+
+def test_another_interpreter_does_not_inherit_our_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    for key in (BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.setenv(key, "x")
+    assert "LD_LIBRARY_PATH" in module_environment(None)
+    other = module_environment("/elsewhere/bin/python")
+    assert not {BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"} & set(other)

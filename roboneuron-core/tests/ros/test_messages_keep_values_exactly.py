@@ -1,0 +1,164 @@
+"""Conversions between contract types and ROS messages, through real serialization."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image, JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from roboneuron.contract import CameraCalibration, CameraProfile, Frame, JointCommand, JointSample, Pose
+from roboneuron.errors import InvalidInputError
+from roboneuron.ros import messages
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+STAMP_NS = 1_700_000_000_123_456_789
+
+
+def over_the_wire(message: Any) -> Any:
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def image(height: int = 4, width: int = 6) -> np.ndarray:
+    return np.arange(height * width * 3, dtype=np.uint8).reshape(height, width, 3)
+
+
+def test_frame_survives_the_wire() -> None:
+    frame = Frame(camera="front", image=image(), stamp_ns=STAMP_NS, frame_id="optical")
+    back = messages.frame_from_message(over_the_wire(messages.to_image(frame)), "front")
+    np.testing.assert_array_equal(back.image, frame.image)
+    assert (back.stamp_ns, back.frame_id) == (STAMP_NS, "optical")
+
+
+def test_rows_with_padding_are_read_without_it() -> None:
+    pixels = image()
+    padded = np.zeros((4, 24), dtype=np.uint8)
+    padded[:, :18] = pixels.reshape(4, 18)
+    message = messages.to_image(Frame(camera="c", image=pixels, stamp_ns=1, frame_id="f"))
+    message.step, message.data = 24, padded.tobytes()
+    np.testing.assert_array_equal(messages.frame_from_message(message, "c").image, pixels)
+
+
+def test_bgr8_is_turned_into_rgb() -> None:
+    message = messages.to_image(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f"))
+    message.encoding = "bgr8"
+    np.testing.assert_array_equal(messages.frame_from_message(message, "c").image, image()[:, :, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("encoding", "32FC1", "Image encoding '32FC1' cannot be read"),
+        ("width", 7, "Image buffer holds 72 bytes"),
+        ("height", 0, "outside 1..8192"),
+        ("step", 5, "Image buffer holds"),
+    ],
+)
+def test_damaged_image_is_refused(field: str, value: object, says: str) -> None:
+    message = messages.to_image(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f"))
+    setattr(message, field, value)
+    with pytest.raises(InvalidInputError, match=says):
+        messages.frame_from_message(message, "c")
+
+
+def test_image_without_capture_time_is_refused() -> None:
+    message = Image(height=1, width=1, step=3, encoding="rgb8", data=b"abc")
+    with pytest.raises(InvalidInputError, match="no capture time"):
+        messages.frame_from_message(message, "c")
+
+
+def test_calibration_follows_the_image_size_and_is_dropped_for_another_shape() -> None:
+    intrinsics = np.array([[100.0, 0, 3], [0, 100.0, 2], [0, 0, 1]])
+    calibration = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
+    profile = CameraProfile(name="c", role="primary", frame_id="f", width=6, height=4, calibration=calibration)
+    for height, width, focal in ((8, 12, 200.0), (4, 6, 100.0), (4, 4, None)):
+        frame = Frame(camera="c", image=image(height, width), stamp_ns=1, frame_id="f")
+        got = messages.frame_from_message(messages.to_image(frame), "c", profile).calibration
+        assert (None if got is None else got.intrinsics[0, 0]) == focal
+
+
+@given(st.lists(FINITE, min_size=7, max_size=7))
+@settings(max_examples=50)
+def test_action_survives_the_wire_to_the_last_bit(values: list[float]) -> None:
+    vector = np.array(values)
+    back = messages.vector_from_action_message(over_the_wire(messages.to_action_message(vector)))
+    np.testing.assert_array_equal(back, vector)
+
+
+def test_action_of_another_meaning_is_refused() -> None:
+    message = messages.to_action_message(np.zeros(7))
+    message.layout.dim[0].label = "joint_delta"
+    with pytest.raises(InvalidInputError, match="labelled 'joint_delta'"):
+        messages.vector_from_action_message(message)
+
+
+def test_joint_state_survives_the_wire() -> None:
+    joints = JointSample(
+        names=("a", "b"), position=np.array([1.5, -2.0]), velocity=np.array([0.1, 0.2]), stamp_ns=STAMP_NS
+    )
+    back = messages.joints_from_message(over_the_wire(messages.to_joint_state(joints)))
+    assert back.names == joints.names
+    np.testing.assert_array_equal(back.position, joints.position)
+    assert back.velocity is not None
+    assert back.stamp_ns == STAMP_NS
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "velocity"),
+    [(["a", "b"], [1.0], []), (["a", "a"], [1.0, 2.0], []), (["a", "b"], [1.0, 2.0], [0.1])],
+)
+def test_joint_state_that_does_not_match_itself_is_refused(
+    names: list[str], position: list[float], velocity: list[float]
+) -> None:
+    with pytest.raises(InvalidInputError):
+        messages.joints_from_message(JointState(name=names, position=position, velocity=velocity))
+
+
+def test_pose_survives_the_wire() -> None:
+    pose = Pose(position_m=np.array([1.0, 2.0, 3.0]), quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]), stamp_ns=5)
+    back = messages.pose_from_message(over_the_wire(messages.to_pose_stamped(pose, "base")))
+    np.testing.assert_array_equal(back.position_m, pose.position_m)
+    np.testing.assert_array_equal(back.quaternion_xyzw, pose.quaternion_xyzw)
+
+
+def test_command_becomes_one_trajectory_point_and_comes_back() -> None:
+    command = JointCommand(names=("a", "b"), position=np.array([0.1, 0.2]), duration_s=0.1)
+    (back,) = messages.commands_from_trajectory(over_the_wire(messages.to_joint_trajectory(command)))
+    np.testing.assert_array_equal(back.position, command.position)
+    assert back.duration_s == pytest.approx(0.1, abs=1e-9)  # nanoseconds on the wire
+
+
+def trajectory(*points: tuple[float, list[float]], names: tuple[str, ...] = ("a",)) -> JointTrajectory:
+    message = JointTrajectory(joint_names=list(names))
+    for seconds, positions in points:
+        point = JointTrajectoryPoint(positions=positions)
+        point.time_from_start.sec = int(seconds)
+        point.time_from_start.nanosec = int((seconds % 1) * 1e9)
+        message.points.append(point)
+    return message
+
+
+def test_later_points_take_the_time_since_the_point_before() -> None:
+    commands = messages.commands_from_trajectory(trajectory((1.0, [0.1]), (2.5, [0.2])))
+    assert [c.duration_s for c in commands] == [1.0, 1.5]
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        (trajectory(), "no points"),
+        (trajectory((1.0, [0.1]), names=()), "no joint names"),
+        (trajectory((1.0, [0.1, 0.2])), "2 positions for 1 joints"),
+        (trajectory((1.0, [float("nan")])), "non-finite"),
+        (trajectory((1.0, [0.1]), (1.0, [0.2])), "not after"),
+        (trajectory((0.0, [0.1])), "not after"),
+    ],
+)
+def test_trajectory_that_cannot_be_executed_is_refused(message: JointTrajectory, says: str) -> None:
+    with pytest.raises(InvalidInputError, match=says):
+        messages.commands_from_trajectory(message)
