@@ -1,0 +1,151 @@
+"""What a checkpoint's action values mean, and the conversion to and from the contract's 7-vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rn_backend_pi0.rpy import matrix_from_rpy, rpy_from_matrix
+from roboneuron.contract import ACTION_SIZE, Pose
+from roboneuron.contract.rotation import F64, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from roboneuron.errors import ConfigurationError, UngroundedError, UnsafeError
+
+Meaning = Literal["delta", "absolute"]
+FrameName = Literal["base", "tcp"]
+Rotation = Literal["rotvec", "rpy"]
+Gripper = Literal["open_fraction", "closed_fraction", "signed_close", "signed_open"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ActionLayout:
+    """Seven values a step: translation (3), rotation (3), gripper (1), in the checkpoint's own convention.
+
+    Attributes:
+        meaning: "delta" moves the TCP by the values; "absolute" says where it should be.
+        frame: axes of a delta: the robot's base, or the TCP at the start of the step.
+        rotation: "rotvec", or "rpy" (fixed axes x, y, z).
+        translation_scale_m: metres of one unit.
+        rotation_scale_rad: radians of one unit.
+        limit: the first six values are clipped to -limit..limit before scaling, as the training environment does; 0
+            for no clipping.
+        adds_state: the first six values are relative to the first six of the state, which is added before all else.
+        gripper: "open_fraction" 0 closed..1 open, "closed_fraction", "signed_close" -1 open..1 closed, "signed_open".
+        step_s: time between two actions [s].
+    """
+
+    meaning: Meaning
+    frame: FrameName
+    rotation: Rotation
+    gripper: Gripper
+    step_s: float
+    translation_scale_m: float = 1.0
+    rotation_scale_rad: float = 1.0
+    limit: float = 0.0
+    adds_state: bool = False
+
+    def to_contract(self, raw: F64, *, state: F64, pose: Pose | None, base_position_m: F64) -> F64:
+        """The checkpoint's actions (H, 7) -> the contract's (H, 7): base-frame deltas [m, rad] and opening 0..1.
+
+        Args:
+            raw: float64 (H, 7), un-normalised.
+            state: the state of the same observation, in the training data's units.
+            pose: measured TCP pose; needed for "absolute" and for frame "tcp".
+            base_position_m: float64 (3,), where the base stands in the frame of absolute positions.
+
+        Raises:
+            UnsafeError: a value is not finite.
+            UngroundedError: the pose is needed and missing.
+            ConfigurationError: the rows do not hold 7 values.
+        """
+        _check_raw(raw)
+        moves = raw[:, :6] + state[:6] if self.adds_state else raw[:, :6]
+        if self.limit:
+            moves = np.clip(moves, -self.limit, self.limit)
+        translations, rotations = moves[:, :3] * self.translation_scale_m, moves[:, 3:] * self.rotation_scale_rad
+        matrices = [self._matrix(rotation) for rotation in rotations]
+        out = np.empty((len(raw), ACTION_SIZE))
+        if self.meaning == "absolute":
+            previous = self._needed(pose)
+            position, rotation = previous.position_m, matrix_from_quaternion(previous.quaternion_xyzw)
+            for row, target, matrix in zip(out, translations - base_position_m, matrices, strict=True):
+                row[:3], row[3:6] = target - position, rotvec_from_matrix(matrix @ rotation.T)
+                position, rotation = target, matrix
+        elif self.frame == "tcp":
+            rotation = matrix_from_quaternion(self._needed(pose).quaternion_xyzw)
+            for row, delta, matrix in zip(out, translations, matrices, strict=True):
+                row[:3], row[3:6] = rotation @ delta, rotation @ rotvec_from_matrix(matrix)
+                rotation = rotation @ matrix
+        else:
+            out[:, :3] = translations
+            out[:, 3:6] = [rotvec_from_matrix(matrix) for matrix in matrices]
+        out[:, 6] = np.clip(self._opening(raw[:, 6]), 0.0, 1.0)
+        return out
+
+    def from_contract(self, actions: F64, *, state: F64, pose: Pose | None, base_position_m: F64) -> F64:
+        """The inverse of `to_contract`, for values inside `limit`: contract (H, 7) -> the checkpoint's (H, 7)."""
+        raw = np.empty((len(actions), ACTION_SIZE))
+        position, rotation = np.zeros(3), np.eye(3)
+        if self.meaning == "absolute" or self.frame == "tcp":
+            start = self._needed(pose)
+            position, rotation = start.position_m, matrix_from_quaternion(start.quaternion_xyzw)
+        for row, action in zip(raw, actions, strict=True):
+            delta, turn = action[:3], matrix_from_rotvec(action[3:6])
+            if self.meaning == "absolute":
+                position, rotation = position + delta, turn @ rotation
+                row[:3], row[3:6] = position + base_position_m, self._values(rotation)
+            elif self.frame == "tcp":
+                local = rotation.T @ turn @ rotation
+                row[:3], row[3:6] = rotation.T @ delta, self._values(local)
+                rotation = rotation @ local
+            else:
+                row[:3], row[3:6] = delta, self._values(turn)
+        raw[:, :3] /= self.translation_scale_m
+        raw[:, 3:6] /= self.rotation_scale_rad
+        if self.adds_state:
+            raw[:, :6] -= state[:6]
+        raw[:, 6] = self._gripper_value(actions[:, 6])
+        return raw
+
+    def _matrix(self, rotation: F64) -> F64:
+        return matrix_from_rotvec(rotation) if self.rotation == "rotvec" else matrix_from_rpy(rotation)
+
+    def _values(self, matrix: F64) -> F64:
+        return rotvec_from_matrix(matrix) if self.rotation == "rotvec" else rpy_from_matrix(matrix)
+
+    def _needed(self, pose: Pose | None) -> Pose:
+        if pose is None:
+            raise UngroundedError(
+                f"Actions of kind {self.meaning!r} in frame {self.frame!r} need the measured TCP pose; it comes from "
+                "the topic ee_pose, which control publishes."
+            )
+        return pose
+
+    def _opening(self, value: F64) -> F64:
+        if self.gripper == "open_fraction":
+            return value
+        if self.gripper == "closed_fraction":
+            return 1.0 - value
+        sign = -1.0 if self.gripper == "signed_close" else 1.0
+        return (1.0 + sign * value) / 2.0
+
+    def _gripper_value(self, opening: F64) -> F64:
+        if self.gripper == "open_fraction":
+            return opening
+        if self.gripper == "closed_fraction":
+            return 1.0 - opening
+        sign = -1.0 if self.gripper == "signed_close" else 1.0
+        return sign * (2.0 * opening - 1.0)
+
+
+def _check_raw(raw: F64) -> None:
+    if raw.ndim != 2 or raw.shape[0] < 1 or raw.shape[1] != ACTION_SIZE:
+        raise ConfigurationError(
+            f"The model yields actions of shape {raw.shape}, expected (H >= 1, {ACTION_SIZE}).",
+            hint="Joint-space and two-armed checkpoints cannot be turned into TCP motion here.",
+        )
+    finite = np.isfinite(raw)
+    if not finite.all():
+        row, column = (int(i) for i in np.argwhere(~finite)[0])
+        raise UnsafeError(f"The model produced a non-finite value ({raw[row, column]}) at step {row}, column {column}.")

@@ -1,0 +1,44 @@
+"""What a checkpoint directory says of itself: family, dimensions, camera slots and statistics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rn_backend_pi0.architecture import Pi0Dims
+from rn_backend_pi0.statistics import ZScore
+
+Family = Literal["lerobot", "openpi"]
+PROFILE_FILE = "roboneuron.json"
+"""Optional file beside config.json that names the checkpoint's profile: {"profile": "libero"}."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Checkpoint:
+    """A described checkpoint.
+
+    Attributes:
+        directory: where it lies.
+        family: whose code wrote it; numerics and preprocessing follow that family.
+        dims: model dimensions.
+        slots: names of the camera slots, in the model's order.
+        state, action: statistics, as wide as the files have them.
+        denoising_steps: Euler steps.
+        action_steps: how many of the chunk's actions are meant to be executed.
+        prompt_length: most tokens of a prompt.
+        relative_actions: the family's own code adds the state to the first six action values.
+        profile: what PROFILE_FILE says; empty without one.
+    """
+
+    directory: Path
+    family: Family
+    dims: Pi0Dims
+    slots: tuple[str, ...]
+    state: ZScore
+    action: ZScore
+    denoising_steps: int = 10
+    action_steps: int = 50
+    prompt_length: int = 48
+    relative_actions: bool = False
+    profile: str = ""

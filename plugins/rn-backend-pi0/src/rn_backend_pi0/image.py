@@ -1,0 +1,79 @@
+"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the checkpoint's own code does."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+Resize = Literal["antialiased", "plain"]
+Flip = Literal["none", "rotate-180", "mirror"]
+
+
+def flip_image(image: U8, flip: Flip) -> U8:
+    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps left and right)."""
+    if flip == "rotate-180":
+        return image[::-1, ::-1]
+    return image[:, ::-1] if flip == "mirror" else image
+
+
+def _fitted(height: int, width: int, side: int) -> tuple[int, int, int, int]:
+    """Height and width inside the square, and the top and left margin. Source: openpi and LeRobot alike."""
+    ratio = max(height / side, width / side)
+    inner_height, inner_width = int(height / ratio), int(width / ratio)
+    return inner_height, inner_width, (side - inner_height) // 2, (side - inner_width) // 2
+
+
+def resize_antialiased(image: U8, side: int) -> U8:
+    """uint8 (H, W, 3) -> uint8 (side, side, 3), bilinear with antialiasing when shrinking, centred on black.
+
+    Source: openpi's client, image_tools.resize_with_pad (PIL).
+    """
+    height, width = image.shape[:2]
+    if (height, width) == (side, side):
+        return image
+    inner_height, inner_width, top, left = _fitted(height, width, side)
+    resized = Image.fromarray(np.ascontiguousarray(image)).resize(
+        (max(1, inner_width), max(1, inner_height)), resample=Image.Resampling.BILINEAR
+    )
+    canvas = np.zeros((side, side, 3), dtype=np.uint8)
+    canvas[top : top + resized.height, left : left + resized.width] = np.asarray(resized)
+    return canvas
+
+
+def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.intp], F32]:
+    """Lower and upper index and the weight of the upper, for half-pixel-centred bilinear sampling."""
+    position = np.maximum((np.arange(target, dtype=np.float32) + 0.5) * np.float32(size / target) - 0.5, 0.0)
+    lower = np.minimum(np.floor(position).astype(np.intp), size - 1)
+    return lower, np.minimum(lower + 1, size - 1), (position - lower).astype(np.float32)
+
+
+def resize_plain(image: U8, side: int) -> F32:
+    """uint8 (H, W, 3) -> float32 (side, side, 3) in 0..255, bilinear without antialiasing, centred on black.
+
+    Source: LeRobot's pi0, resize_with_pad_torch (interpolation with align_corners off and antialias off).
+    """
+    height, width = image.shape[:2]
+    if (height, width) == (side, side):
+        return image.astype(np.float32)
+    inner_height, inner_width, top, left = _fitted(height, width, side)
+    inner_height, inner_width = max(1, inner_height), max(1, inner_width)
+    low, high, weight = _sample_axis(height, inner_height)
+    rows = image[low].astype(np.float32)
+    rows += weight[:, None, None] * (image[high].astype(np.float32) - rows)
+    low, high, weight = _sample_axis(width, inner_width)
+    pixels = rows[:, low] + weight[None, :, None] * (rows[:, high] - rows[:, low])
+    canvas = np.zeros((side, side, 3), dtype=np.float32)
+    canvas[top : top + inner_height, left : left + inner_width] = pixels
+    return canvas
+
+
+def to_pixels(image: U8, *, side: int, resize: Resize, flip: Flip) -> F32:
+    """uint8 RGB (H, W, 3) -> float32 (3, side, side) in -1..1."""
+    turned = flip_image(image, flip)
+    square = resize_plain(turned, side) if resize == "plain" else resize_antialiased(turned, side).astype(np.float32)
+    return np.ascontiguousarray((square / np.float32(255.0) * 2.0 - 1.0).transpose(2, 0, 1), dtype=np.float32)

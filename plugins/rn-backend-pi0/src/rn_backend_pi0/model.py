@@ -1,0 +1,142 @@
+"""A loaded pi0: pictures, token ids, a measured state and noise in; normalised actions out. One sample at a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from rn_backend_pi0.checkpoint import Checkpoint, Family
+from rn_backend_pi0.image import Flip, Resize, to_pixels
+from rn_backend_pi0.numerics import flow_times, with_eps
+from rn_backend_pi0.weights import load_network
+from roboneuron.errors import ConfigurationError, UngroundedError
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+
+def resolve_device(name: str) -> torch.device:
+    """The device called `name`; "auto" is a GPU if there is one.
+
+    Raises:
+        ConfigurationError: a GPU is named and this PyTorch has none.
+    """
+    available = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if name == "auto":
+        return torch.device("cuda" if available else "cpu")
+    device = torch.device(name)
+    if device.type == "cuda" and (device.index or 0) >= available:
+        raise ConfigurationError(f"Device {name!r} is not there; PyTorch sees {available} GPUs.", hint="Use 'cpu'.")
+    return device
+
+
+class Pi0Model:
+    """Weights on a device with the preprocessing of their family.
+
+    Args:
+        checkpoint: what was read of the directory.
+        device, dtype: where and how to compute ("auto" allowed).
+        numerics: whose rounding, resizing and eps to follow; None for the family that wrote the checkpoint.
+        resize: overrides the resizing alone.
+        steps: Euler steps; None for the checkpoint's.
+        cpu_threads: threads of PyTorch, for the whole process; None leaves them as they are.
+
+    Raises:
+        CheckpointError, ConfigurationError: see `weights.load_network` and `resolve_device`.
+    """
+
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        *,
+        device: str = "auto",
+        dtype: str = "auto",
+        numerics: Family | None = None,
+        resize: Resize | None = None,
+        steps: int | None = None,
+        cpu_threads: int | None = None,
+    ) -> None:
+        if cpu_threads is not None:
+            torch.set_num_threads(cpu_threads)
+        self.checkpoint = checkpoint
+        self.device = resolve_device(device)
+        narrow = dtype == "bfloat16" or (dtype == "auto" and self.device.type == "cuda")
+        self.dtype = torch.bfloat16 if narrow else torch.float32
+        family = numerics or checkpoint.family
+        self._resize: Resize = resize or ("plain" if family == "lerobot" else "antialiased")
+        self._times = flow_times(family, steps or checkpoint.denoising_steps)
+        self.state = checkpoint.state if numerics is None else with_eps(checkpoint.state, family)
+        self.action = checkpoint.action if numerics is None else with_eps(checkpoint.action, family)
+        self._network = load_network(checkpoint.directory, checkpoint.dims, device=self.device, dtype=self.dtype)
+
+    @property
+    def noise_shape(self) -> tuple[int, int]:
+        """Shape of the noise and of the normalised actions."""
+        return self.checkpoint.dims.chunk, self.checkpoint.dims.action
+
+    def infer(
+        self, images: Sequence[U8 | None], token_ids: Sequence[int], state: F32, noise: F32, *, flip: Flip = "none"
+    ) -> F32:
+        """Run one inference.
+
+        Args:
+            images: uint8 (H, W, 3) for each slot, in order; None for a missing camera.
+            token_ids: the prompt without padding.
+            state: float32 (n,), in the training data's units.
+            noise: float32 of `noise_shape`.
+            flip: how upright images are turned first.
+
+        Returns:
+            float32 of `noise_shape`, normalised.
+
+        Raises:
+            UngroundedError: no image at all.
+        """
+        dims = self.checkpoint.dims
+        present = [
+            to_pixels(i, side=dims.vision.image, resize=self._resize, flip=flip) for i in images if i is not None
+        ]
+        if not present:
+            raise UngroundedError("All camera slots are empty; pi0 needs at least one image.")
+        padded = np.zeros(dims.state, dtype=np.float32)
+        padded[: len(state)] = self.state.head(len(state)).normalize(state)
+        actions = self._network.sample_actions(
+            torch.from_numpy(np.stack(present)).to(self.device),
+            torch.tensor(list(token_ids), dtype=torch.int64, device=self.device),
+            torch.from_numpy(padded).to(self.device),
+            torch.from_numpy(noise).to(self.device),
+            self._times,
+        )
+        return np.asarray(actions.cpu().numpy(), dtype=np.float32)
+
+    def warm_up(self, images: int, token_count: int, state_width: int) -> float:
+        """Run twice on grey pictures and the mean state; returns the second run's duration [ms].
+
+        Raises:
+            ConfigurationError: the device ran out of memory.
+        """
+        side = self.checkpoint.dims.vision.image
+        grey: list[U8 | None] = [np.full((side, side, 3), 128, dtype=np.uint8) for _ in range(images)]
+        noise = np.zeros(self.noise_shape, dtype=np.float32)
+        state = self.state.mean[:state_width]
+        duration_ms = 0.0
+        try:
+            for _ in range(2):
+                start = time.perf_counter()
+                self.infer(grey, [0] * token_count, state, noise)
+                duration_ms = (time.perf_counter() - start) * 1e3
+        except torch.OutOfMemoryError as error:
+            raise ConfigurationError(
+                f"{self.device} has not enough free memory to run the model.", hint="Free it or use dtype = 'bfloat16'."
+            ) from error
+        return duration_ms
+
+    def release(self) -> None:
+        """Give the device's memory back; the model cannot be used afterwards."""
+        del self._network
+        if self.device.type == "cuda":
+            torch.cuda.empty_cache()

@@ -1,0 +1,177 @@
+"""What a user may set under `[plugins.pi0]` and `[plugins.pi0-remote]`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
+from rn_backend_pi0.image import Flip, Resize
+from rn_backend_pi0.profiles import PROFILES, Profile
+from rn_backend_pi0.state import StateLayout, StateTerm
+from roboneuron.errors import ConfigurationError
+
+ProfileName = Literal["libero", "libero-openpi", "bridge", "own"]
+Role = Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]*|-)$")]
+Vector = tuple[float, float, float]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class StateOptions(_Section):
+    """The state vector of an own profile."""
+
+    terms: tuple[StateTerm, ...] = Field(min_length=1, description="parts of the state vector, in order")
+    joint_names: tuple[str, ...] = Field(default=(), description="joints of the term 'joints', in order")
+    rotvec_near_rad: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="which of two rotation vectors is written [rad]"
+    )
+    finger_travel_m: float = Field(default=0.04, gt=0, description="position of one finger joint when open [m]")
+
+    @model_validator(mode="after")
+    def _joints_are_named(self) -> Self:
+        if ("joints" in self.terms) != bool(self.joint_names):
+            raise ValueError("joint_names must be given exactly when terms has 'joints'")
+        return self
+
+
+class ActionOptions(_Section):
+    """The action values of an own profile."""
+
+    meaning: Meaning = Field(description="'delta' moves by, 'absolute' moves to")
+    frame: FrameName = Field(description="axes of a delta: 'base' or 'tcp'")
+    rotation: Rotation = Field(description="'rotvec', or 'rpy' about fixed axes")
+    gripper: Gripper = Field(description="meaning of the last value")
+    step_s: float = Field(gt=0, le=10, description="time between two actions [s]")
+    translation_scale_m: float = Field(default=1.0, gt=0, description="metres of one unit")
+    rotation_scale_rad: float = Field(default=1.0, gt=0, description="radians of one unit")
+    limit: float = Field(default=0.0, ge=0, description="clip the first six values to +-limit; 0 for no clipping")
+    adds_state: bool = Field(default=False, description="the first six values are relative to the state")
+
+
+class _Common(_Section):
+    profile: ProfileName | None = Field(
+        default=None, description="what state and actions mean; the checkpoint's roboneuron.json when not given"
+    )
+    state: StateOptions | None = Field(default=None, description="for profile 'own'")
+    action: ActionOptions | None = Field(default=None, description="for profile 'own'")
+    base_position_m: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="where the robot's base stands in the frame of the training data [m]"
+    )
+    action_steps: int | None = Field(
+        default=None, ge=1, description="actions of a chunk to execute before the next one"
+    )
+    image_flip: Flip = Field(
+        default="none", description="turns upright camera images into what the model was trained on"
+    )
+
+    @model_validator(mode="after")
+    def _own_is_complete(self) -> Self:
+        own = self.profile == "own"
+        if own and (self.state is None or self.action is None):
+            raise ValueError("profile 'own' needs the tables 'state' and 'action'")
+        if not own and (self.state is not None or self.action is not None):
+            raise ValueError("the tables 'state' and 'action' are only read with profile 'own'")
+        return self
+
+    def resolve_profile(self, declared: str = "") -> Profile:
+        """The profile to use.
+
+        Args:
+            declared: what the checkpoint says of itself; used when the user gives none.
+
+        Raises:
+            ConfigurationError: neither names one, or the checkpoint names an unknown one.
+        """
+        name = self.profile or declared
+        if name == "own" and self.state is not None and self.action is not None:
+            state = StateLayout(
+                terms=self.state.terms,
+                joint_names=self.state.joint_names,
+                rotvec_near_rad=np.array(self.state.rotvec_near_rad),
+                finger_travel_m=self.state.finger_travel_m,
+            )
+            profile = Profile(state=state, action=ActionLayout(**self.action.model_dump()))
+        elif name in PROFILES:
+            profile = PROFILES[name]
+        else:
+            got = f"names the unknown profile {name!r}" if name else "names no profile"
+            raise ConfigurationError(
+                f"The checkpoint {got} and the option 'profile' is not set; choose one of {', '.join(PROFILES)}, own.",
+                hint="The profile says what state the model takes and what its actions mean; it is never guessed.",
+            )
+        base = np.array(self.base_position_m)
+        profile = replace(profile, state=replace(profile.state, base_position_m=base))
+        if profile.action.adds_state and profile.state.width < 6:
+            raise ConfigurationError(
+                f"adds_state needs a state of at least 6 values, this one has {profile.state.width}."
+            )
+        return profile
+
+
+class Pi0Options(_Common):
+    """Options of the native backend."""
+
+    checkpoint: Path = Field(description="directory of a LeRobot or openpi PyTorch checkpoint")
+    tokenizer: Path | None = Field(default=None, description="tokenizer.json; the checkpoint's own when not given")
+    asset_id: str | None = Field(default=None, description="which statistics of an openpi checkpoint that has several")
+    camera_slots: tuple[Role, ...] | None = Field(
+        default=None, description="camera role for each slot of the model, '-' for an empty one"
+    )
+    optional_roles: tuple[Role, ...] = Field(
+        default=("wrist",), description="roles that may be absent; their slot is then masked"
+    )
+    device: str = Field(
+        default="auto", pattern=r"^(auto|cpu|cuda(:\d+)?)$", description="auto takes a GPU if there is one"
+    )
+    dtype: Literal["auto", "float32", "bfloat16"] = Field(
+        default="auto", description="auto is bfloat16 on a GPU and float32 on a CPU"
+    )
+    cpu_threads: int | None = Field(
+        default=None, ge=1, le=512, description="threads of PyTorch in this process; PyTorch's own choice if unset"
+    )
+    denoising_steps: int | None = Field(
+        default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
+    )
+    numerics: Literal["lerobot", "openpi"] | None = Field(
+        default=None,
+        description="whose rounding, resizing and eps to follow; the family that wrote the checkpoint if unset",
+    )
+    resize: Resize | None = Field(
+        default=None, description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset"
+    )
+    seed: int | None = Field(default=0, ge=0, description="of the noise, restarted by every reset; none for a new one")
+    noise: Literal["fresh", "fixed"] = Field(
+        default="fresh", description="'fixed' starts every inference from the same noise"
+    )
+
+    @model_validator(mode="after")
+    def _fixed_noise_has_a_seed(self) -> Self:
+        if self.noise == "fixed" and self.seed is None:
+            raise ValueError("noise 'fixed' needs a seed")
+        return self
+
+
+class Pi0RemoteOptions(_Common):
+    """Options of the remote backend."""
+
+    url: str = Field(default="ws://127.0.0.1:8000", pattern=r"^wss?://\S+$", description="of openpi's policy server")
+    api_key_variable: str | None = Field(default=None, description="name of the environment variable with the API key")
+    allow_insecure_key: bool = Field(default=False, description="send the key over an unencrypted remote connection")
+    connect_timeout_s: float = Field(default=10.0, gt=0, le=600, description="until the server answers, during load")
+    warm_up_timeout_s: float = Field(default=120.0, gt=0, le=600, description="for the first inference (compilation)")
+    request_timeout_s: float = Field(default=1.5, gt=0, le=60, description="for one inference, reconnecting included")
+    image_keys: dict[Role, str] = Field(
+        default={"primary": "observation/image", "wrist": "observation/wrist_image"},
+        min_length=1,
+        description="key of the request by camera role",
+    )
+    state_key: str = Field(default="observation/state", min_length=1, description="key of the state")
+    prompt_key: str = Field(default="prompt", min_length=1, description="key of the instruction")
+    image_side_px: int = Field(default=224, ge=16, le=1024, description="images are sent as squares of this side")

@@ -1,0 +1,61 @@
+"""What this package offers RoboNeuron: the backends "pi0" (native) and "pi0-remote" (openpi policy server)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
+
+_NATIVE = 'pip install "rn-backend-pi0[native]"'
+_REMOTE = 'pip install "rn-backend-pi0[remote]"'
+
+
+def _action_space() -> ActionSpace:
+    """What the checkpoint was trained on; the profile says it, and the backend converts by it."""
+    return ActionSpace(
+        width=7,
+        translation="checkpoint",
+        rotation="checkpoint",
+        frame="checkpoint",
+        gripper="checkpoint",
+        horizon=50,
+        step_s=0.0,
+    )
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """Offer the backends "pi0" and "pi0-remote"."""
+    return [
+        BackendSpec(
+            name="pi0",
+            summary="pi0 in this process, from a LeRobot or openpi PyTorch checkpoint directory",
+            target="rn_backend_pi0.native:Pi0Backend",
+            config="rn_backend_pi0.options:Pi0Options",
+            requires=(
+                Requirement(module="torch", install=_NATIVE),
+                Requirement(module="safetensors", install=_NATIVE),
+                Requirement(module="tokenizers", install=_NATIVE),
+            ),
+            cameras=("primary",),
+            optional_cameras=("wrist",),
+            needs_state=True,
+            needs_checkpoint=True,
+            action_space=_action_space(),
+        ),
+        BackendSpec(
+            name="pi0-remote",
+            summary="pi0 served elsewhere by openpi's websocket policy server",
+            target="rn_backend_pi0.remote:Pi0RemoteBackend",
+            config="rn_backend_pi0.options:Pi0RemoteOptions",
+            requires=(
+                Requirement(module="msgpack", install=_REMOTE),
+                Requirement(module="websockets", install=_REMOTE),
+            ),
+            cameras=("primary",),
+            optional_cameras=("wrist",),
+            needs_state=True,
+            action_space=_action_space(),
+        ),
+    ]

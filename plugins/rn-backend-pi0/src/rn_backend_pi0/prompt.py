@@ -1,0 +1,87 @@
+"""Instructions to token ids, with a local tokenizer.json and nothing from the network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rn_backend_pi0.checkpoint import Family
+from roboneuron.errors import CheckpointError, UngroundedError
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
+
+TOKENIZER_FILE = "tokenizer.json"
+_BOS = "<bos>"
+_WHERE = (
+    "Copy tokenizer.json of google/paligemma-3b-pt-224 (its licence must be accepted once) into the checkpoint "
+    "directory, or set the option 'tokenizer' to its path."
+)
+
+
+class Prompt:
+    """Encodes instructions as pi0 was trained: BOS, the text, a newline of its own, no padding.
+
+    Padding takes no positions and is masked in the original codes, so leaving it out changes nothing.
+    """
+
+    def __init__(self, tokenizer: Tokenizer, *, family: Family, max_tokens: int, vocabulary: int, source: str) -> None:
+        bos, newline = tokenizer.token_to_id(_BOS), tokenizer.encode("\n", add_special_tokens=False).ids
+        if bos is None or len(newline) != 1:
+            raise CheckpointError(
+                f"{source} is no PaliGemma tokenizer: it lacks {_BOS} or has no single token for a newline.",
+                hint=_WHERE,
+            )
+        self._tokenizer, self._family = tokenizer, family
+        self._bos, self._newline = bos, newline[0]
+        self._max_tokens, self._vocabulary, self._source = max_tokens, vocabulary, source
+
+    def encode(self, instruction: str) -> list[int]:
+        """Token ids of an instruction.
+
+        Raises:
+            UngroundedError: the instruction is empty or longer than the model takes; it is never cut short silently.
+            CheckpointError: the tokenizer yields an id outside the model's vocabulary.
+        """
+        # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline does not; a newline inside
+        # the text would end the prompt early, so it becomes a space for both.
+        text = instruction.strip().replace("\n", " ")
+        if self._family == "openpi":
+            text = text.replace("_", " ")
+        if not text:
+            raise UngroundedError("The instruction is empty; say what to do.")
+        ids = [self._bos, *self._tokenizer.encode(text, add_special_tokens=False).ids, self._newline]
+        if len(ids) > self._max_tokens:
+            raise UngroundedError(
+                f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; shorten it."
+            )
+        if max(ids) >= self._vocabulary:
+            raise CheckpointError(
+                f"{self._source} yields the id {max(ids)}, the model's vocabulary ends at {self._vocabulary - 1}.",
+                hint=_WHERE,
+            )
+        return ids
+
+
+def load_prompt(directory: Path, path: Path | None, *, family: Family, max_tokens: int, vocabulary: int) -> Prompt:
+    """Load the tokenizer from `path` (a tokenizer.json or its directory), else from the checkpoint's directory.
+
+    Raises:
+        CheckpointError: there is none, or it cannot be read.
+    """
+    from tokenizers import Tokenizer  # heavy
+
+    file = path or directory
+    file = file / TOKENIZER_FILE if file.is_dir() else file
+    if not file.is_file():
+        raise CheckpointError(f"There is no tokenizer at {file}.", hint=_WHERE)
+    if file.suffix != ".json":
+        raise CheckpointError(f"{file} is not a {TOKENIZER_FILE}; SentencePiece models are not read.", hint=_WHERE)
+    try:
+        # The library raises bare Exception for a damaged file, so the text is checked here and the cause kept.
+        tokenizer = Tokenizer.from_str(file.read_text(encoding="utf-8"))
+    except Exception as error:
+        raise CheckpointError(f"{file} cannot be read as a tokenizer: {error}.", hint=_WHERE) from error
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    return Prompt(tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file))

@@ -1,0 +1,207 @@
+"""A tiny random pi0 checkpoint in a public layout: for trying out the plumbing, useless on a robot."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+from tokenizers import AddedToken, Tokenizer, models, normalizers, pre_tokenizers, trainers
+
+from rn_backend_pi0.architecture import (
+    EMBEDDING_KEYS,
+    GemmaDims,
+    Pi0Dims,
+    VisionDims,
+    optional_tensors,
+    required_tensors,
+)
+from rn_backend_pi0.checkpoint import PROFILE_FILE, Family
+from rn_backend_pi0.layouts import OPENPI_SLOTS
+from rn_backend_pi0.prompt import TOKENIZER_FILE
+from roboneuron.errors import ConfigurationError
+
+TINY = Pi0Dims(
+    vision=VisionDims(width=32, depth=2, mlp=64, heads=4),
+    prefix=GemmaDims(width=32, depth=2, mlp=64, heads=4, kv_heads=1, head_dim=16),
+    expert=GemmaDims(width=16, depth=2, mlp=32, heads=4, kv_heads=1, head_dim=16),
+    vocabulary=640,
+    chunk=10,
+)
+"""Dimensions of the tiny model; the layout is that of the released ones."""
+_STATE = {
+    "mean": [0.45, 0.0, 0.45, float(np.pi), 0.0, 0.0, 0.02, -0.02],
+    "std": [0.2, 0.2, 0.2, 0.3, 0.3, 0.3, 0.02, 0.02],
+}
+_ACTION = {"mean": [0.0] * 7, "std": [0.15, 0.15, 0.15, 0.03, 0.03, 0.03, 0.6]}
+_SENTENCES = (
+    "pick up the red cube and place it on the green plate",
+    "put the blue bowl into the open drawer and close it",
+    "move the gripper to the left, then to the right, above the table",
+    "push the white mug to the front of the stove and turn on the stove",
+    "open the top drawer of the cabinet, stack the yellow block on the black box",
+    "reach for the apple, lift the bottle, wipe the counter, stop and go home",
+)
+_ACTIVATION = "gelu_pytorch_tanh"
+
+
+def make_tokenizer(vocabulary: int) -> Tokenizer:
+    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences of our own."""
+    tokenizer = Tokenizer(models.BPE(byte_fallback=False))
+    tokenizer.normalizer = normalizers.NFC()
+    tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
+    trainer = trainers.BpeTrainer(
+        vocab_size=vocabulary - 1,
+        special_tokens=["<pad>", "<eos>", "<bos>", "<unk>"],
+        initial_alphabet=sorted(pre_tokenizers.ByteLevel.alphabet()),
+        show_progress=False,
+    )
+    tokenizer.train_from_iterator(_SENTENCES, trainer)
+    tokenizer.add_tokens([AddedToken("\n", normalized=False)])
+    return tokenizer
+
+
+def make_tiny(directory: Path, *, layout: Family = "lerobot", seed: int = 0) -> None:
+    """Write a complete tiny checkpoint with profile "libero" into `directory`.
+
+    Args:
+        directory: new or empty.
+        layout: "lerobot" or "openpi".
+        seed: of the weights.
+
+    Raises:
+        ConfigurationError: the directory holds something, or cannot be written.
+    """
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise ConfigurationError(f"{directory} exists and is not an empty directory; choose another.")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        _write_weights(directory, layout, seed)
+        make_tokenizer(TINY.vocabulary).save(str(directory / TOKENIZER_FILE))
+        _write_json(directory / PROFILE_FILE, {"profile": "libero"})
+        (_write_lerobot if layout == "lerobot" else _write_openpi)(directory)
+    except OSError as error:
+        raise ConfigurationError(f"{directory} cannot be written: {error}.") from error
+
+
+def _write_json(path: Path, value: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+
+
+def _write_weights(directory: Path, layout: Family, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    shapes = required_tensors(TINY) | {EMBEDDING_KEYS[0]: (TINY.vocabulary, TINY.prefix.width)}
+    shapes |= dict(list(optional_tensors(TINY).items())[:1])
+    tensors: dict[str, torch.Tensor] = {}
+    for key, shape in shapes.items():
+        values = torch.randn(shape, generator=generator)
+        if key.endswith(".bias") or "norm" in key:
+            values = values * 0.1 + (1.0 if "layer_norm" in key or "post_layernorm" in key else 0.0)
+            if key.endswith(".bias"):
+                values = values * 0.1
+        elif "lm_head" in key:
+            values = values / TINY.prefix.width**0.5
+        else:
+            values = values / float(np.prod(shape[1:])) ** 0.5
+        prefix = "model." if layout == "lerobot" else ""
+        tensors[prefix + key] = values.to(torch.bfloat16)
+    save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})
+
+
+def _gemma_block(dims: GemmaDims) -> dict[str, object]:
+    return {
+        "model_type": "gemma",
+        "vocab_size": TINY.vocabulary,
+        "hidden_size": dims.width,
+        "num_hidden_layers": dims.depth,
+        "intermediate_size": dims.mlp,
+        "num_attention_heads": dims.heads,
+        "num_key_value_heads": dims.kv_heads,
+        "head_dim": dims.head_dim,
+        "hidden_activation": _ACTIVATION,
+        "rms_norm_eps": dims.norm_eps,
+        "rope_theta": dims.rope_base,
+    }
+
+
+def _dimension_blocks() -> dict[str, object]:
+    vision = asdict(TINY.vision)
+    return {
+        "vlm_config": {
+            "model_type": "paligemma",
+            "projection_dim": TINY.prefix.width,
+            "text_config": _gemma_block(TINY.prefix),
+            "vision_config": {
+                "model_type": "siglip_vision_model",
+                "hidden_size": vision["width"],
+                "num_hidden_layers": vision["depth"],
+                "intermediate_size": vision["mlp"],
+                "num_attention_heads": vision["heads"],
+                "patch_size": vision["patch"],
+                "image_size": vision["image"],
+                "hidden_act": _ACTIVATION,
+                "layer_norm_eps": vision["norm_eps"],
+            },
+        },
+        "dit_config": _gemma_block(TINY.expert),
+    }
+
+
+def _write_lerobot(directory: Path) -> None:
+    side = TINY.vision.image
+    norms = {"VISUAL": "IDENTITY", "STATE": "MEAN_STD", "ACTION": "MEAN_STD"}
+    inputs: dict[str, object] = {
+        f"observation.images.{slot}": {"type": "VISUAL", "shape": [3, side, side]} for slot in OPENPI_SLOTS
+    }
+    inputs["observation.state"] = {"type": "STATE", "shape": [len(_STATE["mean"])]}
+    action = {"action": {"type": "ACTION", "shape": [len(_ACTION["mean"])]}}
+    config = {
+        "type": "pi0",
+        "input_features": inputs,
+        "output_features": action,
+        "normalization_mapping": norms,
+        "chunk_size": TINY.chunk,
+        "n_action_steps": TINY.chunk,
+        "max_state_dim": TINY.state,
+        "max_action_dim": TINY.action,
+        "num_inference_steps": 10,
+        "image_resolution": [side, side],
+        "empty_cameras": 0,
+        "tokenizer_max_length": 48,
+        **_dimension_blocks(),
+    }
+    _write_json(directory / "config.json", config)
+    statistics = {"observation.state": _STATE, "action": _ACTION}
+    tensors = {
+        f"{feature}.{name}": torch.tensor(values)
+        for feature, block in statistics.items()
+        for name, values in block.items()
+    }
+    for stage, registry_name, position in (("pre", "normalizer", 5), ("post", "unnormalizer", 0)):
+        file = f"policy_{stage}processor_step_{position}_{registry_name}_processor.safetensors"
+        save_file(tensors, directory / file)
+        step = {
+            "registry_name": f"{registry_name}_processor",
+            "config": {"eps": 1e-8, "features": inputs | action, "norm_map": norms},
+            "state_file": file,
+        }
+        document = {"name": f"policy_{stage}processor", "steps": [step]}
+        _write_json(directory / f"policy_{stage}processor.json", document)
+
+
+def _write_openpi(directory: Path) -> None:
+    config = {
+        "action_dim": TINY.action,
+        "action_horizon": TINY.chunk,
+        "paligemma_variant": "tiny",
+        "action_expert_variant": "tiny",
+        "precision": "bfloat16",
+        **_dimension_blocks(),
+    }
+    _write_json(directory / "config.json", config)
+    statistics = {"norm_stats": {"state": _STATE, "actions": _ACTION}}
+    _write_json(directory / "assets" / "tiny" / "norm_stats.json", statistics)

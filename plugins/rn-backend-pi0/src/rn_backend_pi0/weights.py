@@ -1,0 +1,152 @@
+"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in host memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Protocol, cast
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from rn_backend_pi0.architecture import (
+    EMBEDDING_KEYS,
+    Pi0Dims,
+    Shape,
+    module_keys,
+    optional_tensors,
+    required_tensors,
+)
+from rn_backend_pi0.documents import read_document, take_object
+from rn_backend_pi0.network import Pi0Network
+from roboneuron.errors import CheckpointError, ConfigurationError
+
+_LEROBOT_PREFIX = "model."
+_FLOAT32 = ("state_proj.", "action_in_proj.", "action_time_mlp_in.", "action_time_mlp_out.", "action_out_proj.")
+_LISTED = 12
+
+
+class _Slice(Protocol):
+    def get_shape(self) -> list[int]: ...
+
+
+class _Shard(Protocol):
+    def keys(self) -> list[str]: ...
+    def get_slice(self, name: str) -> _Slice: ...
+    def get_tensor(self, name: str) -> Tensor: ...
+
+
+@contextmanager
+def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
+    """Yield the open shard and the key in it, by key without LeRobot's leading "model.".
+
+    Raises:
+        CheckpointError: no file, a truncated or damaged one, or one key in two shards.
+    """
+    index = directory / "model.safetensors.index.json"
+    if index.is_file():
+        names = sorted({str(v) for v in take_object(read_document(index), "weight_map", index).values()})
+    else:
+        names = ["model.safetensors"]
+    with ExitStack() as stack:
+        by_key: dict[str, tuple[_Shard, str]] = {}
+        for name in names:
+            path = directory / Path(name).name
+            if not path.is_file():
+                raise CheckpointError(f"{path} is missing; the weights of {directory} are incomplete.")
+            try:
+                shard = cast("_Shard", stack.enter_context(safe_open(path, framework="pt", device="cpu")))
+            except (OSError, SafetensorError) as error:
+                raise CheckpointError(
+                    f"{path} ({path.stat().st_size} bytes) is truncated or damaged: {error}.", hint="Copy it again."
+                ) from error
+            for key in shard.keys():  # noqa: SIM118 - not a mapping
+                plain = key.removeprefix(_LEROBOT_PREFIX)
+                if plain in by_key:
+                    raise CheckpointError(f"{path} holds {key!r}, which another shard holds too.")
+                by_key[plain] = (shard, key)
+        yield by_key
+
+
+def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
+    """Compare what a checkpoint holds with what its dimensions ask for; returns the key of the token embedding.
+
+    Raises:
+        CheckpointError: lists missing, unexpected and misshaped keys.
+    """
+    expected = required_tensors(dims)
+    embedding: Shape = (dims.vocabulary, dims.prefix.width)
+    allowed = expected | optional_tensors(dims) | dict.fromkeys(EMBEDDING_KEYS, embedding)
+    missing = sorted(set(expected) - set(shapes))
+    present = [key for key in EMBEDDING_KEYS if key in shapes]
+    if not present:
+        missing.append(f"{EMBEDDING_KEYS[0]} (or {EMBEDDING_KEYS[1]})")
+    unexpected = sorted(set(shapes) - set(allowed))
+    misshaped = [
+        f"{key}: {shapes[key]}, expected {allowed[key]}"
+        for key in sorted(shapes)
+        if key in allowed and shapes[key] != allowed[key]
+    ]
+    if missing or unexpected or misshaped:
+        parts = [
+            f"{len(names)} {word}: {'; '.join(names[:_LISTED])}{' ...' if len(names) > _LISTED else ''}"
+            for word, names in (("missing", missing), ("unexpected", unexpected), ("misshaped", misshaped))
+            if names
+        ]
+        pi05 = any(name.startswith("time_mlp_in.") for name in unexpected)
+        hint = "These look like the keys of pi0.5, which this backend does not run." if pi05 else ""
+        raise CheckpointError(
+            "The weights do not fit a pi0 model of these dimensions. " + ". ".join(parts) + ".", hint=hint
+        )
+    return present[0]
+
+
+def load_network(directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype) -> Pi0Network:
+    """Build the network and fill it.
+
+    Args:
+        directory: holds model.safetensors, or shards and their index.
+        dims: dimensions of the model.
+        device, dtype: where the weights go and as what; norms and the projections at the border stay float32.
+
+    Raises:
+        CheckpointError: keys or shapes do not fit, or a value is not finite.
+        ConfigurationError: the device has not enough memory.
+    """
+    with torch.device("meta"):
+        network = Pi0Network(dims)
+    try:
+        with open_shards(directory) as shards:
+            shapes = {key: tuple(shard.get_slice(full).get_shape()) for key, (shard, full) in shards.items()}
+            embedding = check_keys(shapes, dims)
+            for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items():
+                shard, full = shards[key]
+                tensor = shard.get_tensor(full)
+                if not tensor.is_floating_point() or not bool(torch.isfinite(tensor).all()):
+                    raise CheckpointError(
+                        f"{directory}: {key!r} ({tensor.dtype}) holds values that are not finite numbers."
+                    )
+                _assign(network, name, tensor.to(device=device, dtype=_dtype_of(name, dtype), copy=True))
+    except torch.OutOfMemoryError as error:
+        raise ConfigurationError(
+            f"{device} has not enough free memory for the weights in {directory}.",
+            hint="Free it, choose dtype = 'bfloat16', or another device.",
+        ) from error
+    left = [name for name, parameter in network.named_parameters() if parameter.is_meta]
+    assert not left, left
+    return network.eval()
+
+
+def _dtype_of(name: str, dtype: torch.dtype) -> torch.dtype:
+    return torch.float32 if name.startswith(_FLOAT32) or _is_rms_norm(name) else dtype
+
+
+def _is_rms_norm(name: str) -> bool:
+    return name.startswith(("prefix.", "expert.")) and "norm" in name
+
+
+def _assign(network: nn.Module, name: str, tensor: Tensor) -> None:
+    path, _, leaf = name.rpartition(".")
+    setattr(network.get_submodule(path), leaf, nn.Parameter(tensor, requires_grad=False))
