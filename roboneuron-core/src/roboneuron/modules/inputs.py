@@ -57,7 +57,7 @@ class NewestInputs:
 
         def on_image(message: Image) -> None:
             try:
-                frame = frame_from_message(message, camera.name, camera.calibration)
+                frame = frame_from_message(message, camera.name, camera)
             except InvalidInputError as error:
                 self._status.dropped.add("bad_image")
                 self._status.set_error(error)

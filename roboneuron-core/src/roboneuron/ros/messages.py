@@ -15,7 +15,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from roboneuron.contract.action import ACTION_LABEL, ACTION_SIZE
 from roboneuron.contract.image import frame_from_buffer
 from roboneuron.contract.motion import JointCommand
-from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
+from roboneuron.contract.observation import Frame, JointSample, Pose
+from roboneuron.contract.profile import CameraProfile
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
@@ -44,8 +45,12 @@ def to_image(frame: Frame) -> Image:
     return message
 
 
-def frame_from_message(message: Image, camera: str, calibration: CameraCalibration | None = None) -> Frame:
+def frame_from_message(message: Image, camera: str, profile: CameraProfile | None = None) -> Frame:
     """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
+
+    Args:
+        camera: the camera's name.
+        profile: where the calibration comes from; the frame has none without it.
 
     Raises:
         InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
@@ -61,7 +66,7 @@ def frame_from_message(message: Image, camera: str, calibration: CameraCalibrati
         image=image,
         stamp_ns=stamp_ns,
         frame_id=message.header.frame_id or camera,
-        calibration=calibration,
+        calibration=profile.calibration_at(message.width, message.height) if profile else None,
     )
 
 

@@ -1,0 +1,150 @@
+"""The control plane's place in the ROS graph: one context, one node, one executor thread; usable from any thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import rclpy
+from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from roboneuron.errors import InternalError
+
+log = logging.getLogger(__name__)
+M = TypeVar("M")
+T = TypeVar("T")
+_TASK_TIMEOUT_S = 10.0
+
+
+class Call:
+    """A service call on its way. `response` is None until `done`, and stays None when the call failed."""
+
+    def __init__(self, client: Client, future: Any) -> None:
+        self._client = client
+        self._future = future
+
+    @property
+    def done(self) -> bool:
+        """Whether an answer has come."""
+        return bool(self._future.done())
+
+    @property
+    def response(self) -> Any:
+        """The answer."""
+        return self._future.result() if self._future.done() else None
+
+    def abandon(self) -> None:
+        """Forget the call; a late answer is dropped."""
+        self._client.remove_pending_request(self._future)
+
+
+class RosLink:
+    """A node of the control plane.
+
+    Entities are made and destroyed on the executor's thread, where callbacks run too; callbacks must return quickly.
+    """
+
+    def __init__(self, node_name: str) -> None:
+        self._node_name = node_name
+        self._context: Any = None
+        self._node: Any = None
+        self._executor: Any = None
+        self._thread: threading.Thread | None = None
+        self._clients: dict[tuple[type, str], Client] = {}
+        self._lock = threading.Lock()
+
+    def open(self) -> None:
+        """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have run."""
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = Node(
+            self._node_name,
+            context=self._context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name="ros-link", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph; idempotent."""
+        if self._thread is None:
+            return
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(timeout=2.0)
+        self._thread = None
+        self._clients.clear()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None], qos: QoSProfile
+    ) -> Callable[[], None]:
+        """Subscribe to an absolute `topic`; call what is returned to end it."""
+
+        def deliver(message: M) -> None:
+            try:
+                callback(message)
+            except Exception:  # a failing callback must not end the thread that all modules are watched from
+                log.exception("The callback of %s failed.", topic)
+
+        node = self._node
+        subscription = self._on_executor(lambda: node.create_subscription(message_type, topic, deliver, qos))
+        return lambda: self._on_executor(lambda: node.destroy_subscription(subscription))
+
+    def advertise(self, message_type: type[M], topic: str, qos: QoSProfile) -> Callable[[M], None]:
+        """Return a function that publishes on an absolute `topic`, for as long as the link is open."""
+        publisher = self._on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
+        return cast("Callable[[M], None]", publisher.publish)
+
+    def call(self, service_type: type, name: str, request: object, on_answer: Callable[[], None]) -> Call:
+        """Send a request to the service with that absolute name; `on_answer` is called when the answer is there."""
+        client = self._client(service_type, name)
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: on_answer())
+        return Call(client, future)
+
+    def is_service_ready(self, service_type: type, name: str) -> bool:
+        """Whether somebody serves it, as far as this node has discovered."""
+        return bool(self._client(service_type, name).service_is_ready())
+
+    def publisher_types(self, topic: str) -> list[str]:
+        """Message types that are published on an absolute topic, one for each publisher."""
+        return [str(info.topic_type) for info in self._node.get_publishers_info_by_topic(topic)]
+
+    def are_publishers_reliable(self, topic: str) -> bool:
+        """False when any publisher of the topic is best effort; True without publishers."""
+        infos = self._node.get_publishers_info_by_topic(topic)
+        return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)
+
+    def _client(self, service_type: type, name: str) -> Client:
+        with self._lock:
+            client = self._clients.get((service_type, name))
+            if client is None:
+                client = self._on_executor(lambda: self._node.create_client(service_type, name))
+                self._clients[service_type, name] = client
+            return client
+
+    def _on_executor(self, task: Callable[[], T]) -> T:
+        """Run `task` on the executor's thread and return its result."""
+        if self._thread is None:
+            raise InternalError("The ROS link is not open.")
+        done = threading.Event()
+        future = self._executor.create_task(task)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(_TASK_TIMEOUT_S):
+            raise InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")
+        return cast("T", future.result())
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            log.debug("The ROS context was shut down.")

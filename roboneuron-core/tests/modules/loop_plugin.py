@@ -1,0 +1,201 @@
+"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for tests of the modules."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from roboneuron.contract import (
+    Action,
+    ActionChunk,
+    CameraProfile,
+    Frame,
+    Hold,
+    JointCommand,
+    JointLimits,
+    JointSample,
+    Observation,
+    Pose,
+    RobotProfile,
+    RobotState,
+    Topics,
+)
+from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import (
+    ActionSpace,
+    BackendSpec,
+    CameraSpec,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSpec,
+    RobotSpec,
+)
+
+JOINTS = ("a", "b")
+SPACE = ActionSpace(step_s=0.02)
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    names = {
+        "instant": "Instant",
+        "broken": "Broken",
+        "picky": "Picky",
+        "slow": "Slow",
+        "nan": "NaN",
+        "chunked": "Chunked",
+    }
+    return [
+        BackendSpec(
+            name=name, summary="x", target=f"loop_plugin:{cls}", action_space=SPACE, needs_state=name == "picky"
+        )
+        for name, cls in names.items()
+    ]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    return [
+        PerceptionSpec(name="noise", summary="x", target="loop_plugin:Noise"),
+        PerceptionSpec(name="silent", summary="x", target="loop_plugin:Silent"),
+    ]
+
+
+@hookimpl
+def roboneuron_controllers() -> Sequence[ControllerSpec]:
+    return [ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder")]
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    driver = DriverSpec(name="simulated", summary="x", target="loop_plugin:Driver")
+    camera = CameraSpec(name="front", role="primary")
+    return [RobotSpec(name="pair", summary="x", target="loop_plugin:profile", drivers=(driver,), cameras=(camera,))]
+
+
+def profile() -> RobotProfile:
+    one = np.ones(2)
+    return RobotProfile(
+        name="pair",
+        base_link="base",
+        arm_joints=JOINTS,
+        limits=JointLimits(lower=-one, upper=one, velocity=one, acceleration=one, effort=one),
+        home_rad=np.zeros(2),
+        cameras=(CameraProfile(name="front", role="primary", frame_id="optical", width=8, height=6),),
+    )
+
+
+class Instant:
+    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
+        self.resets = 0
+
+    def load(self) -> None: ...
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        return ActionChunk(actions=np.array([[0.01, 0, 0, 0, 0, 0, 1.0]]), step_s=0.02, metrics={"tokens_kept": 3.0})
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def close(self) -> None: ...
+
+
+class Broken(Instant):
+    def load(self) -> None:
+        raise CheckpointError("The checkpoint is cut short.", hint="Copy it again.")
+
+
+class Picky(Instant):
+    def predict(self, observation: Observation) -> ActionChunk:
+        if "red" not in observation.instruction:
+            raise UngroundedError(f"Nothing here is called {observation.instruction!r}.")
+        assert observation.ee_pose is not None
+        assert observation.joints is not None
+        return super().predict(observation)
+
+
+class Slow(Instant):
+    def predict(self, observation: Observation) -> ActionChunk:
+        time.sleep(0.3)
+        return super().predict(observation)
+
+
+class NaN(Instant):
+    def predict(self, observation: Observation) -> ActionChunk:
+        return ActionChunk(actions=np.full((1, 7), np.nan), step_s=0.02)
+
+
+class Chunked(Instant):
+    def predict(self, observation: Observation) -> ActionChunk:
+        actions = np.zeros((5, 7))
+        actions[:, 0] = np.arange(5) / 1000
+        return ActionChunk(actions=actions, step_s=0.05)
+
+
+class Noise:
+    def __init__(self, config: None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+        self.topics = topics
+
+    def open(self) -> None: ...
+
+    def read(self, timeout_s: float) -> Frame:
+        time.sleep(0.02)
+        image = np.zeros((6, 8, 3), dtype=np.uint8)
+        return Frame(camera="front", image=image, stamp_ns=self.topics.now_ns(), frame_id="optical")
+
+    def close(self) -> None: ...
+
+
+class Silent(Noise):
+    def read(self, timeout_s: float) -> Frame:
+        time.sleep(timeout_s)
+        raise NotReadyError("The camera does not deliver.", hint="Is it plugged in?")
+
+
+class Adder:
+    """Adds the x translation to the first joint; refuses more than 0.1 m."""
+
+    def __init__(self, config: None, profile: RobotProfile) -> None: ...
+
+    def load(self) -> None: ...
+
+    def forward(self, joints: JointSample) -> Pose:
+        return Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=joints.stamp_ns)
+
+    def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
+        if action.translation_m[0] > 0.1:
+            return Hold(code="too_far", reason=f"{action.translation_m[0]} m is more than 0.1 m.")
+        position = joints.position + np.array([action.translation_m[0], 0.0])
+        return JointCommand(names=JOINTS, position=position, duration_s=step_s)
+
+    def close(self) -> None: ...
+
+
+class Driver:
+    """Reaches every target at once and keeps a record of what it was told."""
+
+    def __init__(self, config: None, profile: RobotProfile, topics: Topics) -> None:
+        self.topics = topics
+        self.position = np.zeros(2)
+        self.sent: list[JointCommand] = []
+        self.holds = 0
+
+    def open(self) -> None: ...
+
+    def read(self) -> RobotState:
+        joints = JointSample(names=JOINTS, position=self.position, stamp_ns=self.topics.now_ns())
+        return RobotState(joints=joints, gripper_open=0.5, detail={"mood": "fine"})
+
+    def send(self, command: JointCommand) -> JointCommand:
+        self.position = command.position
+        self.sent.append(command)
+        return command
+
+    def hold(self) -> None:
+        self.holds += 1
+
+    def close(self) -> None: ...

@@ -1,0 +1,169 @@
+"""The control module, judged by the commands it publishes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from roboneuron.contract import JointSample
+from roboneuron.ros.messages import to_action_message, to_joint_state
+from roboneuron.ros.qos import LATCHED
+
+pytestmark = pytest.mark.ros
+FORWARD = np.array([0.01, 0, 0, 0, 0, 0, 1.0])
+
+
+class Cell:
+    """Control, fed with joint states by a timer, and a publisher of actions."""
+
+    def __init__(self, world: Any, wait_until: Callable[..., bool], **options: Any) -> None:
+        self.world = world
+        self.wait_until = wait_until
+        self.position = np.array([0.5, -0.5])
+        self.names: tuple[str, ...] = ("a", "b")
+        self.commands = world.listen(JointTrajectory, "joint_trajectory")
+        self.control = world.start("control", **options)
+        self.states = world.publisher(JointState, "joint_states")
+        self.actions = world.publisher(Float64MultiArray, "action")
+        self.timer = world.node.create_timer(0.01, self.send_state)
+        assert wait_until(lambda: self.value("ready") == "true")
+
+    def send_state(self) -> None:
+        now_ns = self.world.node.get_clock().now().nanoseconds
+        self.states.publish(
+            to_joint_state(JointSample(names=self.names, position=self.position.copy(), stamp_ns=now_ns))
+        )
+
+    def value(self, key: str) -> str:
+        message = self.control.status.to_message()
+        return next((pair.value for pair in message.values if pair.key == key), "")
+
+    def dropped(self, word: str) -> int:
+        return int(self.value(f"dropped.{word}") or 0)
+
+    def last(self) -> list[float]:
+        return list(self.commands[-1].points[0].positions)
+
+
+@pytest.fixture
+def cell(world: Any, wait_until: Callable[..., bool]) -> Cell:
+    return Cell(world, wait_until)
+
+
+def test_action_becomes_a_command_from_the_measured_joints(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert cell.last() == pytest.approx([0.51, -0.5])
+
+
+def test_actions_that_stop_are_followed_by_one_hold_at_the_measured_joints(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    cell.position = np.array([0.505, -0.5])
+    assert cell.wait_until(lambda: len(cell.commands) == 2, 2.0)
+    assert cell.last() == pytest.approx([0.505, -0.5])
+    assert cell.value("note") == "holding: No action for 0.3 s."
+    assert not cell.wait_until(lambda: len(cell.commands) > 2, 0.5)
+
+
+def test_joint_states_that_stop_forbid_acting(cell: Cell) -> None:
+    cell.timer.cancel()
+    assert cell.wait_until(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("stale_joint_state") == 1)
+    assert not cell.commands
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ([np.nan, 0, 0, 0, 0, 0, 1], "non_finite"),
+        ([0, np.inf, 0, 0, 0, 0, 1], "non_finite"),
+        ([0.01] * 6, "malformed"),
+        ([0.01] * 8, "malformed"),
+        ([], "malformed"),
+        ([0.01, 0, 0, 0, 0, 0, 1.5], "malformed"),
+        ([0.2, 0, 0, 0, 0, 0, 1], "too_far"),
+        ([1e308, 0, 0, 0, 0, 0, 1], "too_far"),
+    ],
+)
+def test_bad_action_is_counted_and_moves_nothing(cell: Cell, values: list[float], word: str) -> None:
+    cell.actions.publish(Float64MultiArray(data=values))
+    assert cell.wait_until(lambda: cell.dropped(word) == 1)
+    assert not cell.commands
+
+
+def test_refused_action_ends_a_motion_at_once(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    cell.actions.publish(Float64MultiArray(data=[0.2, 0, 0, 0, 0, 0, 1.0]))
+    assert cell.wait_until(lambda: len(cell.commands) == 2, 0.2)
+    assert cell.last() == pytest.approx([0.5, -0.5])
+
+
+def test_late_action_is_dropped(cell: Cell) -> None:
+    module = cell.control.module
+    assert module._why_not(0.29, 1) is None
+    assert module._why_not(0.31, 1) == "stale_action"
+
+
+def test_reordered_action_is_dropped(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert cell.control.module._why_not(0.0, 1) == "reordered_action"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda cell: setattr(cell, "position", np.array([np.nan, 0.0])),
+        lambda cell: setattr(cell, "names", ("a", "a")),
+        lambda cell: setattr(cell, "position", np.array([0.1])),
+    ],
+)
+def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell], None]) -> None:
+    damage(cell)
+    assert cell.wait_until(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    assert cell.value("error_code") in ("unsafe", "invalid_input")
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("stale_joint_state") == 1)
+    assert not cell.commands
+
+
+def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
+    stop = cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED)
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    stop.publish(Bool(data=True))
+    assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
+    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("emergency_stop") == 1)
+    assert len(cell.commands) == 2
+    stop.publish(Bool(data=False))
+    assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 3)
+
+
+def test_deactivation_holds_and_silences(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    cell.world.run(cell.control.trigger_deactivate)
+    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    cell.actions.publish(to_action_message(FORWARD))
+    assert not cell.wait_until(lambda: len(cell.commands) > 2, 0.3)
+
+
+def test_commands_can_be_joint_states(world: Any, wait_until: Callable[..., bool]) -> None:
+    received = world.listen(JointState, "joint_command")
+    cell = Cell(world, wait_until, extra='command = "joint_state"\n')
+    cell.actions.publish(to_action_message(FORWARD))
+    assert wait_until(lambda: len(received) == 1)
+    assert list(received[0].position) == pytest.approx([0.51, -0.5])

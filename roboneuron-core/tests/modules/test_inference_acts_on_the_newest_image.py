@@ -1,0 +1,205 @@
+"""The inference module, judged by the actions it publishes and by what it reports."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Float64MultiArray, String
+
+from roboneuron.contract import Frame, JointSample, Pose
+from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
+
+pytestmark = pytest.mark.ros
+
+
+class Cell:
+    """Inference, and a camera that delivers when told to."""
+
+    def __init__(
+        self, world: Any, wait_until: Callable[..., bool], status_of: Any, backend: str, **options: Any
+    ) -> None:
+        self.world, self.wait_until, self._status_of = world, wait_until, status_of
+        self.actions = world.listen(Float64MultiArray, "action")
+        replace = {'backend = "instant"': f'backend = "{backend}"'} | options.pop("replace", {})
+        self.inference = world.start("inference", replace=replace, **options)
+        self.images = world.publisher(Image, "camera/front/image")
+        assert wait_until(lambda: world.node.count_publishers("/pair/action") == 1)
+
+    def send_image(self, *, age_s: float = 0.0, **changes: Any) -> None:
+        stamp_ns = self.world.node.get_clock().now().nanoseconds - int(age_s * 1e9)
+        image = np.zeros((6, 8, 3), dtype=np.uint8)
+        message = to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="optical"))
+        for name, value in changes.items():
+            setattr(message, name, value)
+        self.images.publish(message)
+
+    def status(self) -> dict[str, str]:
+        return dict(self._status_of(self.inference))
+
+    def instruct(self, text: Any) -> Any:
+        return self.world.run(lambda: self.inference.set_parameters([Parameter("instruction", value=text)]))[0]
+
+
+@pytest.fixture
+def build(world: Any, wait_until: Callable[..., bool], status_of: Any) -> Callable[..., Cell]:
+    return lambda backend, **options: Cell(world, wait_until, status_of, backend, **options)
+
+
+def test_an_image_becomes_one_labelled_action(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    assert cell.status()["ready"] == "false"
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert list(cell.actions[0].data) == [0.01, 0, 0, 0, 0, 0, 1.0]
+    assert cell.actions[0].layout.dim[0].label == "ee_delta_base"
+    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert cell.status()["backend.tokens_kept"] == "3"
+
+
+def test_what_is_missing_is_named(build: Callable[..., Cell]) -> None:
+    cell = build("picky")
+    expected = "images on camera/front/image and joint states on joint_states and the end-effector pose on ee_pose"
+    assert cell.wait_until(lambda: cell.status()["waiting_for"].startswith(expected))
+
+
+def test_old_image_is_never_acted_on(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    cell.send_image(age_s=0.6)
+    assert cell.wait_until(lambda: cell.status().get("dropped.old_image") == "1")
+    assert not cell.actions
+
+
+def test_images_that_stop_are_an_error_and_end_the_actions(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert cell.wait_until(lambda: cell.status()["error_code"] == "not_ready", 3.0)
+    assert len(cell.actions) == 1
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 2)
+    assert cell.wait_until(lambda: cell.status()["error_code"] == "")
+
+
+@pytest.mark.parametrize(("field", "value"), [("encoding", "16UC1"), ("width", 9), ("step", 1), ("height", 0)])
+def test_image_of_a_wrong_encoding_or_size_is_an_error(build: Callable[..., Cell], field: str, value: Any) -> None:
+    cell = build("instant")
+    cell.send_image(**{field: value})
+    assert cell.wait_until(lambda: cell.status()["error_code"] == "invalid_input")
+    assert not cell.actions
+
+
+def test_topic_of_a_wrong_type_is_refused_at_activation(world: Any, wait_until: Callable[..., bool]) -> None:
+    context = rclpy.Context()
+    context.init()
+    stranger = rclpy.create_node("stranger", namespace="pair", context=context)
+    stranger.create_publisher(String, "camera/front/image", 1)
+    node = world.module("inference")
+    assert world.run(node.trigger_configure) is TransitionCallbackReturn.SUCCESS
+    topic = "/pair/camera/front/image"
+    assert wait_until(lambda: "std_msgs/msg/String" in dict(node.get_topic_names_and_types())[topic])
+    assert world.run(node.trigger_activate) is TransitionCallbackReturn.FAILURE
+    assert "carries std_msgs/msg/String, expected sensor_msgs/msg/Image" in node.status.to_message().message
+    stranger.destroy_node()
+    context.shutdown()
+
+
+def test_slow_backend_skips_to_the_newest_image(build: Callable[..., Cell]) -> None:
+    cell = build("slow")
+    end_s = time.monotonic() + 1.5
+    while time.monotonic() < end_s:
+        cell.send_image()
+        time.sleep(0.03)
+    assert 3 <= len(cell.actions) <= 5
+    assert float(cell.status()["image_age_ms"]) < 400  # 300 ms of thinking and one camera period
+
+
+def test_chunk_is_played_out_one_action_per_step(build: Callable[..., Cell]) -> None:
+    cell = build("chunked")
+    started_s = time.monotonic()
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 5)
+    assert time.monotonic() - started_s >= 4 * 0.05
+    assert [round(a.data[0] * 1000) for a in cell.actions] == [0, 1, 2, 3, 4]
+    assert cell.wait_until(lambda: cell.status()["chunk_position"] == "5/5")
+
+
+def test_new_instruction_cuts_a_chunk_short_and_resets_the_backend(build: Callable[..., Cell]) -> None:
+    cell = build("chunked")
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    resets = cell.inference.module._backend.resets
+    assert cell.instruct("something else").successful
+    assert not cell.wait_until(lambda: len(cell.actions) >= 5, 0.3)
+    assert cell.status()["actions_for_instruction"] == "0"
+    cell.send_image()
+    assert cell.wait_until(lambda: cell.inference.module._backend.resets == resets + 1)
+
+
+def test_without_an_instruction_it_is_ready_and_still(build: Callable[..., Cell]) -> None:
+    cell = build("instant", replace={'instruction = "go"': 'instruction = ""'})
+    cell.send_image()
+    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert not cell.actions
+    assert cell.instruct("go").successful
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+
+
+@pytest.mark.parametrize("value", ["x" * 1001, 7])
+def test_instruction_that_is_no_sentence_is_refused(build: Callable[..., Cell], value: Any) -> None:
+    cell = build("instant")
+    assert not cell.instruct(value).successful
+    assert cell.status()["instruction"] == "go"
+
+
+def test_instruction_that_cannot_be_grounded_is_an_error_without_motion(build: Callable[..., Cell]) -> None:
+    cell = build("picky")
+    states = cell.world.publisher(JointState, "joint_states")
+    poses = cell.world.publisher(PoseStamped, "ee_pose")
+
+    def send_all() -> bool:
+        now_ns = cell.world.node.get_clock().now().nanoseconds
+        states.publish(to_joint_state(JointSample(names=("a",), position=np.zeros(1), stamp_ns=now_ns)))
+        pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=now_ns)
+        poses.publish(to_pose_stamped(pose, "base"))
+        cell.send_image()
+        return cell.status()["error_code"] == "ungrounded"
+
+    assert cell.wait_until(send_all)
+    assert not cell.actions
+    assert cell.instruct("the red one").successful
+    assert cell.wait_until(lambda: not send_all() and len(cell.actions) > 0)
+
+
+def test_backend_that_produces_nan_publishes_nothing_and_says_so(build: Callable[..., Cell]) -> None:
+    cell = build("nan")
+    cell.send_image()
+    assert cell.wait_until(lambda: cell.status()["error_code"] == "unsafe")
+    assert not cell.actions
+
+
+def test_backend_that_does_not_load_leaves_the_module_unconfigured(world: Any, status_of: Any) -> None:
+    node = world.module("inference", replace={'backend = "instant"': 'backend = "broken"'})
+    assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE
+    told = status_of(node)
+    assert (told["state"], told["error_code"]) == ("unconfigured", "checkpoint")
+    assert told["message"] == "The checkpoint is cut short. Copy it again."
+
+
+def test_deactivation_silences_within_a_step(build: Callable[..., Cell]) -> None:
+    cell = build("chunked")
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    cell.world.run(cell.inference.trigger_deactivate)
+    count = len(cell.actions)
+    cell.send_image()
+    assert not cell.wait_until(lambda: len(cell.actions) > count + 1, 0.3)

@@ -1,0 +1,137 @@
+"""The robot and perception modules, judged by their topics and by what their driver was told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Bool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from roboneuron.contract import JointCommand
+from roboneuron.ros.messages import to_joint_trajectory
+from roboneuron.ros.qos import LATCHED
+
+pytestmark = pytest.mark.ros
+
+
+def command(first: float, duration_s: float = 0.05) -> JointTrajectory:
+    return to_joint_trajectory(JointCommand(names=("a", "b"), position=np.array([first, 0.0]), duration_s=duration_s))
+
+
+@pytest.fixture
+def robot(world: Any) -> Any:
+    return world.start("robot")
+
+
+def test_joint_states_flow_at_the_configured_rate(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+    received = world.listen(JointState, "joint_states")
+    assert wait_until(lambda: len(received) > 100)
+    assert robot.status.output.rate_hz() == pytest.approx(120, rel=0.2)  # a shared machine
+    assert list(received[-1].name) == ["a", "b"]
+
+
+def test_driver_facts_are_reported(robot: Any, wait_until: Callable[..., bool], status_of: Any) -> None:
+    assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
+    assert status_of(robot)["gripper_open"] == "0.5"
+
+
+def test_command_reaches_the_driver(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+    world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.3))
+    assert wait_until(lambda: robot.module._driver.position[0] == 0.3)
+
+
+def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
+    world: Any, robot: Any, wait_until: Callable[..., bool]
+) -> None:
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    message = command(0.1, 0.2)
+    for index in range(1, 5):
+        point = JointTrajectoryPoint(positions=[0.1 + index / 10, 0.0])
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod((index + 1) * 200_000_000, 10**9)
+        message.points.append(point)
+    publisher.publish(message)
+    driver = robot.module._driver
+    assert wait_until(lambda: len(driver.sent) == 2)
+    publisher.publish(command(-0.9))
+    assert wait_until(lambda: driver.position[0] == -0.9, 0.15)
+    assert not wait_until(lambda: len(driver.sent) > 3, 0.4)
+
+
+def test_commands_that_cease_are_followed_by_one_hold(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+    driver = robot.module._driver
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    publisher.publish(command(0.1))
+    assert wait_until(lambda: driver.holds == 1, 2.0)
+    assert not wait_until(lambda: driver.holds > 1, 0.5)
+
+
+@pytest.mark.parametrize(
+    "positions", [[float("nan"), 0.0], [0.1], [0.1, 0.2, 0.3]], ids=["not-finite", "too-few", "too-many"]
+)
+def test_damaged_command_is_counted_and_moves_nothing(
+    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, positions: list[float]
+) -> None:
+    message = command(0.1)
+    message.points[0].positions = positions
+    world.publisher(JointTrajectory, "joint_trajectory").publish(message)
+    assert wait_until(lambda: status_of(robot).get("dropped.malformed_command") == "1")
+    assert not robot.module._driver.sent
+
+
+def test_emergency_stop_holds_the_driver_and_refuses_commands(
+    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any
+) -> None:
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=True))
+    driver = robot.module._driver
+    assert wait_until(lambda: driver.holds == 1)
+    publisher.publish(command(0.1))
+    assert wait_until(lambda: status_of(robot).get("dropped.emergency_stop") == "1")
+    assert not driver.sent
+
+
+def test_deactivation_holds(world: Any, robot: Any) -> None:
+    assert world.run(robot.trigger_deactivate) is TransitionCallbackReturn.SUCCESS
+    assert robot.module._driver.holds == 1
+
+
+def test_unknown_robot_or_driver_names_the_choices(world: Any) -> None:
+    for old, new, says in (
+        ('name = "pair"', 'name = "pear"', "pair"),
+        ('name = "pair"', 'name = "pair"\ndriver = "hardware"', "'simulated'"),
+    ):
+        node = world.module("robot", replace={old: new})
+        assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE
+        assert says in node.status.to_message().message
+
+
+def test_images_carry_capture_time_frame_and_encoding(world: Any, wait_until: Callable[..., bool]) -> None:
+    received = world.listen(Image, "camera/front/image")
+    world.start("perception")
+    assert wait_until(lambda: len(received) > 2)
+    image = received[-1]
+    assert (image.encoding, image.width, image.height, image.step) == ("rgb8", 8, 6, 24)
+    assert image.header.frame_id == "optical"
+    assert abs(time.time() - image.header.stamp.sec) < 5
+
+
+def test_camera_that_never_delivers_is_an_error_that_says_what_to_do(
+    world: Any, wait_until: Callable[..., bool], status_of: Any
+) -> None:
+    node = world.start("perception", replace={'source = "noise"': 'source = "silent"'})
+    assert status_of(node)["waiting_for"] == "the first image of camera 'front'"
+    assert wait_until(lambda: status_of(node)["error_code"] == "not_ready", 6.0)
+    assert status_of(node)["message"] == "The camera does not deliver. Is it plugged in?"
+    assert status_of(node)["ready"] == "false"
+
+
+def test_unknown_camera_names_the_choices(world: Any) -> None:
+    node = world.module("perception", replace={'source = "noise"': 'source = "noise"\ncameras = ["rear"]'})
+    assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE
+    assert "'pair' has no camera 'rear'; its cameras are 'front'" in node.status.to_message().message
