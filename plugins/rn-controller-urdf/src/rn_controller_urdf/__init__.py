@@ -1,0 +1,1 @@
+"""Controller for any URDF arm: TCP deltas to joint positions by differential inverse kinematics, or a refusal."""

@@ -1,0 +1,179 @@
+"""The serial chain between two links of a URDF: kinematics only, without meshes, masses and side branches."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from roboneuron.errors import ConfigurationError
+
+_MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mimic:
+    """A joint that follows another: position = multiplier * leader + offset."""
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChainJoint:
+    """One joint of the chain, as the URDF describes it.
+
+    Attributes:
+        name: joint name.
+        type: "fixed", "revolute", "continuous" or "prismatic".
+        parent, child: link names.
+        origin_xyz, origin_rpy: texts of the joint's origin [m], [rad].
+        axis: text of the joint axis in the joint frame.
+        lower, upper: position limits [rad or m]; infinite where the URDF gives none.
+        velocity: velocity limit [rad/s or m/s]; infinite where the URDF gives none.
+        mimic: None for joints that move by themselves.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin_xyz: str
+    origin_rpy: str
+    axis: str
+    lower: float
+    upper: float
+    velocity: float
+    mimic: Mimic | None
+
+    @property
+    def is_moving(self) -> bool:
+        """False for fixed joints."""
+        return self.type != "fixed"
+
+    @property
+    def is_prismatic(self) -> bool:
+        """True when positions are metres."""
+        return self.type == "prismatic"
+
+
+def _number(element: ET.Element | None, attribute: str, default: float, joint: str) -> float:
+    text = None if element is None else element.get(attribute)
+    if text is None:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        raise ConfigurationError(f"URDF joint {joint!r}: {attribute} is {text!r}, expected a number.")
+    return value
+
+
+def _vector(element: ET.Element | None, attribute: str, default: str, joint: str) -> str:
+    text = default if element is None else element.get(attribute, default)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(math.isfinite(v) for v in values):
+        raise ConfigurationError(f"URDF joint {joint!r}: {attribute} is {text!r}, expected three finite numbers.")
+    return text
+
+
+def _link(element: ET.Element, role: str, joint: str) -> str:
+    node = element.find(role)
+    link = None if node is None else node.get("link")
+    if not link:
+        raise ConfigurationError(f'URDF joint {joint!r} has no {role} link, expected <{role} link="..."/>.')
+    return link
+
+
+def _parse_joint(element: ET.Element) -> ChainJoint:
+    name = element.get("name", "")
+    origin, limit, mimic = element.find("origin"), element.find("limit"), element.find("mimic")
+    leader = None if mimic is None else mimic.get("joint", "")
+    kind = element.get("type", "")
+    bounded = kind != "continuous"
+    axis = _vector(element.find("axis"), "xyz", "1 0 0", name)
+    if kind != "fixed" and not any(float(word) for word in axis.split()):
+        raise ConfigurationError(f"URDF joint {name!r}: its axis is zero, expected a direction.")
+    return ChainJoint(
+        name=name,
+        type=kind,
+        parent=_link(element, "parent", name),
+        child=_link(element, "child", name),
+        origin_xyz=_vector(origin, "xyz", "0 0 0", name),
+        origin_rpy=_vector(origin, "rpy", "0 0 0", name),
+        axis=axis,
+        lower=_number(limit, "lower", -math.inf, name) if bounded else -math.inf,
+        upper=_number(limit, "upper", math.inf, name) if bounded else math.inf,
+        velocity=_number(limit, "velocity", math.inf, name),
+        mimic=None
+        if leader is None
+        else Mimic(
+            leader=leader,
+            multiplier=_number(mimic, "multiplier", 1.0, name),
+            offset=_number(mimic, "offset", 0.0, name),
+        ),
+    )
+
+
+def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, ...]:
+    """Return the joints from `base_link` to `tcp_link`, base to tip, fixed ones included.
+
+    Raises:
+        ConfigurationError: not a URDF, a link is missing, `base_link` is not above `tcp_link`, or a joint on the way is
+            of a type that this controller cannot move (floating, planar).
+    """
+    try:
+        root = ET.fromstring(urdf)
+    except ET.ParseError as error:
+        raise ConfigurationError(
+            f"The robot description is not XML: {error}.", hint="Expand xacro files to URDF first."
+        ) from error
+    if root.tag != "robot":
+        raise ConfigurationError(f"The robot description is a <{root.tag}>, expected a URDF <robot>.")
+    links = {link.get("name", "") for link in root.findall("link")}
+    for role, link in (("base_link", base_link), ("tcp_link", tcp_link)):
+        if link not in links:
+            raise ConfigurationError(
+                f"The robot description has no link {link!r} ({role} of the profile).",
+                hint=f"Its links are: {', '.join(sorted(links))}.",
+            )
+    above = {_link(element, "child", element.get("name", "")): element for element in root.findall("joint")}
+    chain: list[ChainJoint] = []
+    link = tcp_link
+    while link != base_link:
+        if link not in above or len(chain) > len(above):
+            raise ConfigurationError(
+                f"The link {tcp_link!r} does not hang from {base_link!r} in the robot description; "
+                f"its chain ends at {link!r}."
+            )
+        joint = _parse_joint(above[link])
+        if joint.is_moving and joint.type not in _MOVING:
+            raise ConfigurationError(
+                f"URDF joint {joint.name!r} is of type {joint.type!r}, expected fixed or one of {', '.join(_MOVING)}."
+            )
+        chain.append(joint)
+        link = joint.parent
+    return tuple(reversed(chain))
+
+
+def kinematic_urdf(chain: tuple[ChainJoint, ...]) -> str:
+    """Return a URDF that holds nothing but `chain`, rooted at its first link, with unbounded joints."""
+    robot = ET.Element("robot", name="chain")
+    for link in (chain[0].parent, *(joint.child for joint in chain)):
+        ET.SubElement(robot, "link", name=link)
+    for joint in chain:
+        # A continuous joint would get two coordinates (cosine, sine) in pinocchio; as a revolute one it has one.
+        kind = "revolute" if joint.type == "continuous" else joint.type
+        element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
+        ET.SubElement(element, "parent", link=joint.parent)
+        ET.SubElement(element, "child", link=joint.child)
+        ET.SubElement(element, "origin", xyz=joint.origin_xyz, rpy=joint.origin_rpy)
+        if joint.is_moving:
+            ET.SubElement(element, "axis", xyz=joint.axis)
+            ET.SubElement(element, "limit", lower="-1e9", upper="1e9", velocity="1e9", effort="1e9")
+    return ET.tostring(robot, encoding="unicode")

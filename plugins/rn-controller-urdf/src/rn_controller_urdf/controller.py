@@ -1,0 +1,164 @@
+"""The controller "urdf": action and measured joints to a joint command, or a refusal with the reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_controller_urdf.ik import InverseKinematics
+from rn_controller_urdf.model import ArmModel, build_arm_model
+from rn_controller_urdf.options import UrdfControllerOptions
+from rn_controller_urdf.refusals import (
+    BAD_STATE,
+    UNKNOWN_JOINT,
+    JointBounds,
+    check_action,
+    check_solution,
+    check_start,
+    check_step,
+    check_workspace,
+    joint_bounds,
+    shortest_duration_s,
+)
+from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, RobotProfile
+from roboneuron.contract.rotation import quaternion_from_matrix
+from roboneuron.errors import StateError, UnsafeError
+
+F64 = NDArray[np.float64]
+
+_STOP_FRACTION = 0.1
+"""The solver iterates to this share of the tolerances, so that small actions still move the arm."""
+
+
+def _not_loaded() -> StateError:
+    return StateError("The controller 'urdf' was used before it was loaded.", hint="Call load() first.")
+
+
+class UrdfController:
+    """Differential inverse kinematics on the URDF of `profile`; seeded with the measured joints, without memory.
+
+    A command whose joints would need more than their velocity limits over `step_s` is given more time
+    (`JointCommand.duration_s` >= step_s), never more speed. Not thread-safe; `forward` may run beside `compute`.
+    """
+
+    def __init__(self, config: UrdfControllerOptions | None, profile: RobotProfile) -> None:
+        self._options = config or UrdfControllerOptions()
+        self._profile = profile
+        self._model: ArmModel | None = None
+        self._solver: InverseKinematics | None = None
+        self._viewer: InverseKinematics | None = None
+        self._bounds: tuple[JointBounds, ...] | None = None
+        self._order: tuple[tuple[str, ...], list[int]] = ((), [])
+
+    def load(self) -> None:
+        """Parse the URDF and build the arm.
+
+        Raises:
+            ConfigurationError: the profile's URDF, links, joints or limits do not make an arm.
+        """
+        self._model = build_arm_model(self._profile)
+        self._bounds = joint_bounds(self._options, self._model)
+        self._solver = InverseKinematics(self._model)
+        self._viewer = InverseKinematics(self._model)
+
+    def forward(self, joints: JointSample) -> Pose:
+        """TCP pose in the base frame, stamped as the joints are.
+
+        Raises:
+            UnsafeError: an arm joint is missing or not finite.
+            StateError: called before `load`.
+        """
+        model, viewer = self._model, self._viewer
+        if model is None or viewer is None:
+            raise _not_loaded()
+        position = self._arm_position(model, joints)
+        if isinstance(position, Hold):
+            raise UnsafeError(position.reason)
+        if not all(map(math.isfinite, position.tolist())):
+            raise UnsafeError(f"A measured joint of {list(model.joints)} is not finite: {position.tolist()}.")
+        pose = viewer.place(position)
+        return Pose(
+            position_m=np.array(pose.translation),
+            quaternion_xyzw=quaternion_from_matrix(pose.rotation),
+            stamp_ns=joints.stamp_ns,
+        )
+
+    def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
+        """Return joint positions that move the TCP by `action`, or why the robot should hold.
+
+        Args:
+            action: TCP delta in the base frame and absolute gripper opening.
+            joints: measured joints; the gripper's and others may be among them.
+            step_s: time the action is meant for [s].
+
+        Raises:
+            StateError: called before `load`; nothing else.
+        """
+        options = self._options
+        model, solver, bounds = self._loaded()
+        measured = self._arm_position(model, joints)
+        if isinstance(measured, Hold):
+            return measured
+        refusal = check_start(measured.tolist(), bounds) or check_action(action, step_s, options)
+        if refusal is not None:
+            return refusal
+        here = solver.place(measured)
+        target = solver.shift(here, action.translation_m, action.rotation_rad)
+        refusal = check_workspace(here.translation, target.translation, self._profile.workspace)
+        if refusal is not None:
+            return refusal
+        solution = solver.solve(
+            np.minimum(np.maximum(measured, model.lower), model.upper),
+            target,
+            tolerance_m=options.position_tolerance_m * _STOP_FRACTION,
+            tolerance_rad=options.rotation_tolerance_rad * _STOP_FRACTION,
+            max_iterations=options.max_iterations,
+            track_rotation=options.track == "pose",
+        )
+        step = (solution.position - measured).tolist()
+        refusal = check_solution(solution, options) or check_step(step, bounds)
+        if refusal is not None:
+            return refusal
+        names, position = model.joints, solution.position
+        if self._profile.gripper is not None:
+            names = (*names, self._profile.gripper.joint)
+            position = np.append(position, self._profile.gripper.to_position(action.gripper_open))
+        return JointCommand(
+            names=names,
+            position=position,
+            duration_s=max(step_s, shortest_duration_s(step, bounds)),
+            residual_m=solution.residual_m,
+            residual_rad=solution.residual_rad,
+        )
+
+    def close(self) -> None:
+        """Forget the arm."""
+        self._model = self._solver = self._viewer = self._bounds = None
+
+    def _loaded(self) -> tuple[ArmModel, InverseKinematics, tuple[JointBounds, ...]]:
+        if self._model is None or self._solver is None or self._bounds is None:
+            raise _not_loaded()
+        return self._model, self._solver, self._bounds
+
+    def _arm_position(self, model: ArmModel, joints: JointSample) -> F64 | Hold:
+        """Measured arm joints (n,) in chain order, or why there are none."""
+        names, indices = self._order
+        if names != joints.names:
+            missing = [name for name in model.joints if name not in joints.names]
+            if missing:
+                return Hold(
+                    code=UNKNOWN_JOINT,
+                    reason=f"The measured joints {list(joints.names)} lack {missing} of the arm.",
+                )
+            indices = [joints.names.index(name) for name in model.joints]
+            self._order = (joints.names, indices)
+        values = np.asarray(joints.position, dtype=np.float64)
+        if values.shape != (len(joints.names),):
+            return Hold(
+                code=BAD_STATE,
+                reason=f"{len(joints.names)} joints are named but positions have shape {values.shape}.",
+            )
+        position: F64 = values[indices]
+        return position

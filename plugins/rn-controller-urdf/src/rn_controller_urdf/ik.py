@@ -1,0 +1,142 @@
+"""Inverse kinematics by damped least squares, kept inside the joint limits at every iteration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_controller_urdf.model import ArmModel
+
+F64 = NDArray[np.float64]
+
+_DAMPING = 1e-8
+"""Smallest squared damping: far below the squares of the singular values of a usable posture (about 0.1 each)."""
+_DAMPING_BY_ERROR = 1e-2
+"""Squared damping per squared error: careful steps far away, undamped ones close by. Source: Sugihara 2011, eq. 22."""
+_FARTHEST_STEP = 0.5
+"""Longest change of one joint in one iteration [rad or m]: beyond it the linearisation says nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Solution:
+    """Where the solver ended, converged or not.
+
+    Attributes:
+        position: float64 (n,), within the limits [rad or m].
+        residual_m, residual_rad: distance and angle that remain to the target.
+        iterations: steps taken to get there.
+    """
+
+    position: F64
+    residual_m: float
+    residual_rad: float
+    iterations: int
+
+
+class InverseKinematics:
+    """Solver of one arm; holds scratch memory, so one instance serves one thread.
+
+    Poses are `pinocchio.SE3`, TCP in the base frame.
+    """
+
+    def __init__(self, model: ArmModel) -> None:
+        import eigenpy  # type: ignore[import-untyped]  # heavy; comes with pinocchio
+        import pinocchio  # heavy
+
+        self._pin: Any = pinocchio
+        self._cholesky: Any = eigenpy.LLT
+        self._model = model
+        self._data = model.kinematics.createData()
+        self._identity = {rows: np.eye(rows) for rows in (3, 6)}
+        self._local = pinocchio.ReferenceFrame.LOCAL
+
+    def place(self, position: F64) -> Any:
+        """Forward kinematics: arm positions (n,) -> TCP pose."""
+        model = self._model
+        self._pin.forwardKinematics(model.kinematics, self._data, self._chain_positions(position))
+        return self._pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame).copy()
+
+    def shift(self, pose: Any, translation_m: F64, rotation_rad: F64) -> Any:
+        """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as `roboneuron.contract.apply_delta`."""
+        return self._pin.SE3(np.dot(self._pin.exp3(rotation_rad), pose.rotation), pose.translation + translation_m)
+
+    def solve(
+        self,
+        start: F64,
+        target: Any,
+        *,
+        tolerance_m: float,
+        tolerance_rad: float,
+        max_iterations: int,
+        track_rotation: bool = True,
+    ) -> Solution:
+        """Return a posture near `start` that reaches `target`, or the best one on the way.
+
+        Args:
+            start: float64 (n,), within the limits.
+            target: pose of the TCP in the base frame.
+            tolerance_m, tolerance_rad: where iterating stops.
+            max_iterations: where it gives up.
+            track_rotation: False solves for the position alone.
+
+        Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are frozen and the step is
+        taken again with the others.
+        """
+        q, best, lowest = start, None, math.inf
+        for iteration in range(max_iterations + 1):
+            error, jacobian, residual_m, residual_rad = self._linearise(q, target, track_rotation)
+            score = residual_m + residual_rad if track_rotation else residual_m
+            if score < lowest:
+                lowest = score
+                best = Solution(position=q, residual_m=residual_m, residual_rad=residual_rad, iterations=iteration)
+                if residual_m <= tolerance_m and (residual_rad <= tolerance_rad or not track_rotation):
+                    break
+            if iteration < max_iterations:
+                q = self._step(q, error, jacobian)
+        # No score was a number: the caller sees infinite residuals and refuses.
+        return best or Solution(position=start, residual_m=math.inf, residual_rad=math.inf, iterations=0)
+
+    def _chain_positions(self, position: F64) -> F64:
+        if self._model.coupling is None:
+            return position
+        gain, offset = self._model.coupling
+        chain: F64 = gain @ position + offset
+        return chain
+
+    def _linearise(self, position: F64, target: Any, track_rotation: bool) -> tuple[F64, F64, float, float]:
+        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m], [rad]; k is 6 or 3."""
+        model, pin = self._model, self._pin
+        pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
+        pose = pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
+        jacobian: F64 = pin.getFrameJacobian(model.kinematics, self._data, model.tcp_frame, self._local)
+        if model.coupling is not None:
+            jacobian = jacobian @ model.coupling[0]
+        difference = pose.actInv(target)
+        error: F64 = pin.log6(difference).vector
+        residual_m = math.hypot(*difference.translation.tolist())
+        residual_rad = math.hypot(*error[3:].tolist())
+        if not track_rotation:
+            return difference.translation, jacobian[:3], residual_m, residual_rad
+        return error, jacobian, residual_m, residual_rad
+
+    def _step(self, q: F64, error: F64, jacobian: F64) -> F64:
+        lower, upper = self._model.lower, self._model.upper
+        damping = self._identity[len(error)] * (_DAMPING + _DAMPING_BY_ERROR * float(np.dot(error, error)))
+        while True:
+            normal = np.inner(jacobian, jacobian) + damping
+            change = np.dot(jacobian.T, self._cholesky(normal).solve(error))
+            farthest = max(map(abs, change.tolist()))
+            if farthest > _FARTHEST_STEP:
+                change *= _FARTHEST_STEP / farthest
+            wanted = q + change
+            reached: F64 = np.minimum(np.maximum(wanted, lower), upper)
+            if reached.tolist() == wanted.tolist():
+                return reached
+            stuck = (reached == q) & (wanted != q)
+            if not stuck.any():
+                return reached
+            jacobian = np.where(stuck, 0.0, jacobian)

@@ -1,0 +1,23 @@
+"""What this package offers RoboNeuron: the controller "urdf"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ControllerSpec, Requirement
+
+
+@hookimpl
+def roboneuron_controllers() -> Sequence[ControllerSpec]:
+    """Offer the controller "urdf"."""
+    return [
+        ControllerSpec(
+            name="urdf",
+            summary="Differential inverse kinematics for any URDF arm: converges within its limits or holds",
+            target="rn_controller_urdf.controller:UrdfController",
+            config="rn_controller_urdf.options:UrdfControllerOptions",
+            requires=(Requirement(module="pinocchio", install="pip install pin"),),
+            robot_kinds=("arm",),
+        )
+    ]
