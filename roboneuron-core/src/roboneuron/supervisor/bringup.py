@@ -1,0 +1,146 @@
+"""From a spawned process to one that has proved that it works."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.health import Report, StatusBoard
+from roboneuron.supervisor.lifecycle import LifecycleClient
+from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.slot import Slot
+
+if TYPE_CHECKING:
+    from roboneuron.ros.link import RosLink
+
+_REASON_S = 1.0
+"""The reason of a refused transition is published just before the answer; it may arrive a little later."""
+_PERSISTENT_S = 1.5
+"""An error that stays this long while a module is active but not ready ends the start; shorter ones may heal."""
+
+
+class Bringup:
+    """One start of one module; used once, on the thread of the caller."""
+
+    def __init__(
+        self,
+        slot: Slot,
+        process: ModuleProcess,
+        settings: ModuleSettings,
+        link: RosLink,
+        board: StatusBoard,
+        changes: Changes,
+        on_stage: Callable[[str], None],
+    ) -> None:
+        self._slot = slot
+        self._process = process
+        self._name = settings.status_name
+        self._timeout_s = settings.config.supervisor.start_timeout_s
+        self._board = board
+        self._changes = changes
+        self._on_stage = on_stage
+        self._doing = "starting"
+        self._client = LifecycleClient(link, f"/{self._name}", changes, self._check)
+
+    def run(self, deadline_s: float) -> None:
+        """Configure, activate, wait for readiness.
+
+        Args:
+            deadline_s: monotonic time at which the start has failed.
+
+        Raises:
+            RoboNeuronError: as `Supervisor.start`.
+        """
+        self._stage("starting")
+        if self._changes.wait_for(self._checked_report, _left(deadline_s)) is None:
+            raise self._too_late("its first status on /diagnostics")
+        if not self._client.wait_until_served(_left(deadline_s)):
+            raise self._too_late("its lifecycle services")
+        self._transition("configure", deadline_s)
+        self._transition("activate", deadline_s)
+        self._await_ready(deadline_s)
+        self._process.note_segments()
+
+    def _transition(self, name: str, deadline_s: float) -> None:
+        self._stage(f"{name.removesuffix('e')}ing")
+        before = self._error_count()
+        made = self._client.transition(name, _left(deadline_s))
+        if made is None:
+            raise self._too_late(f"the end of {name!r}")
+        if made:
+            return
+
+        def reason() -> RoboNeuronError | None:
+            report = self._report()
+            return report.failure() if report is not None and report.error_count > before else None
+
+        failure = self._changes.wait_for(reason, _REASON_S)
+        if failure is not None:
+            raise failure
+        raise InternalError(
+            f"The {self._slot.kind} module refused to {name} and gave no reason.", hint=f"See {self._process.log_path}."
+        )
+
+    def _await_ready(self, deadline_s: float) -> None:
+        self._stage("waiting for the first output")
+        failing_since_s: float | None = None
+        told = ""
+
+        def ready() -> bool:
+            nonlocal failing_since_s, told
+            report = self._checked_report()
+            if report is None:
+                return False
+            if report.ready:
+                return True
+            failure = report.failure()
+            if failure is None:
+                failing_since_s = None
+            elif failing_since_s is None:
+                failing_since_s = time.monotonic()
+            elif time.monotonic() - failing_since_s > _PERSISTENT_S:
+                raise failure
+            if report.waiting_for and report.waiting_for != told:
+                told = report.waiting_for
+                self._on_stage(f"{self._slot.kind}: waiting for {told}")
+            return False
+
+        if not self._changes.wait_for(ready, _left(deadline_s)):
+            report = self._report()
+            raise self._too_late(report.waiting_for if report and report.waiting_for else "its first output")
+
+    def _too_late(self, missing: str) -> RoboNeuronError:
+        report = self._report()
+        said = f" It says: {report.error}" if report is not None and report.error else ""
+        return NotReadyError(
+            f"{self._slot.kind} (pid {self._process.pid}) was not ready within {self._timeout_s:g} s; "
+            f"missing: {missing}.{said}",
+            hint=f"The process was ended; its log is {self._process.log_path}.",
+        )
+
+    def _stage(self, doing: str) -> None:
+        self._doing = doing
+        self._on_stage(f"{self._slot.kind}: {doing}")
+
+    def _report(self) -> Report | None:
+        return self._board.newest(self._name, self._process.pid)
+
+    def _checked_report(self) -> Report | None:
+        self._check()
+        return self._report()
+
+    def _error_count(self) -> int:
+        report = self._report()
+        return report.error_count if report is not None else 0
+
+    def _check(self) -> None:
+        self._slot.check_not_cancelled()
+        self._slot.check_alive(self._doing)
+
+
+def _left(deadline_s: float) -> float:
+    return max(0.0, deadline_s - time.monotonic())

@@ -1,0 +1,79 @@
+"""The supervisor's ROS link, opened in the background so that the server can answer before rclpy is imported."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from roboneuron.errors import StateError
+from roboneuron.ros.environment import prepare_environment
+
+if TYPE_CHECKING:
+    from roboneuron.ros.link import RosLink
+
+_OPEN_TIMEOUT_S = 30.0
+
+
+class Connection:
+    """Opens the link once, on a thread of its own; `link` waits for it."""
+
+    def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
+        self._on_status = on_status
+        self._log_directory = log_directory
+        self._lock = threading.Lock()
+        self._opened: Future[RosLink] | None = None
+        self._closed = False
+
+    def begin(self) -> None:
+        """Start opening; returns at once, and does nothing the second time."""
+        with self._lock:
+            if self._closed:
+                raise StateError("The server is shutting down.")
+            if self._opened is not None:
+                return
+            self._opened = Future()
+            threading.Thread(target=self._open, args=(self._opened,), name="ros-open", daemon=True).start()
+
+    def link(self) -> RosLink:
+        """The open link.
+
+        Raises:
+            ConfigurationError: the environment mixes two ROS installations.
+            StateError: the server is shutting down.
+        """
+        self.begin()
+        assert self._opened is not None
+        return self._opened.result(timeout=_OPEN_TIMEOUT_S)
+
+    def close(self) -> None:
+        """Leave the graph; idempotent."""
+        with self._lock:
+            self._closed = True
+            opened = self._opened
+        if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
+            opened.result().close()
+
+    def _open(self, opened: Future[RosLink]) -> None:
+        try:
+            prepare_environment(self._log_directory / "ros")
+            from roboneuron.ros.link import RosLink  # heavy
+
+            link = RosLink(f"roboneuron_server_{os.getpid()}")
+            link.open()
+            self._subscribe(link)
+        except BaseException as error:  # handed to whoever asks for the link
+            opened.set_exception(error)
+        else:
+            opened.set_result(link)
+
+    def _subscribe(self, link: RosLink) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray  # heavy
+
+        from roboneuron.ros.qos import STATUS
+        from roboneuron.ros.topics import DIAGNOSTICS
+
+        link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)

@@ -1,0 +1,89 @@
+"""The standard lifecycle services of a managed node, called with a bound on the time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from roboneuron.supervisor.changes import Changes
+
+if TYPE_CHECKING:
+    from roboneuron.ros.link import RosLink
+
+TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
+"""Source: lifecycle_msgs/msg/Transition."""
+_STATE_CALL_S = 1.0
+
+
+class LifecycleClient:
+    """Drives one managed node.
+
+    `check` is called while waiting and raises to give up (the process died, the start was cancelled).
+    """
+
+    def __init__(self, link: RosLink, node: str, changes: Changes, check: Callable[[], None]) -> None:
+        self._link = link
+        self._node = node
+        self._changes = changes
+        self._check = check
+
+    def wait_until_served(self, timeout_s: float) -> bool:
+        """Whether `get_state` answered and `change_state` was discovered within `timeout_s`.
+
+        A node that was killed stays in the graph for some seconds, so only an answer proves that this one serves.
+        """
+        from lifecycle_msgs.srv import ChangeState, GetState  # heavy
+
+        deadline_s = time.monotonic() + timeout_s
+
+        def served() -> bool:
+            self._check()
+            return self._link.is_service_ready(GetState, self._name("get_state")) and self._link.is_service_ready(
+                ChangeState, self._name("change_state")
+            )
+
+        while (remaining_s := deadline_s - time.monotonic()) > 0:
+            if not self._changes.wait_for(served, remaining_s):
+                return False
+            if self.state(min(_STATE_CALL_S, remaining_s)) is not None:
+                return True
+        return False
+
+    def state(self, timeout_s: float = _STATE_CALL_S) -> str | None:
+        """Label of the primary state, or None when nobody answered in time."""
+        from lifecycle_msgs.srv import GetState  # heavy
+
+        call = self._link.call(GetState, self._name("get_state"), GetState.Request(), self._changes.notify)
+        if not self._changes.wait_for(lambda: self._look(lambda: call.done), timeout_s):
+            call.abandon()
+            return None
+        return str(call.response.current_state.label)
+
+    def transition(self, name: str, timeout_s: float) -> bool | None:
+        """Request "configure", "activate", "deactivate" or "cleanup".
+
+        Returns whether the node made it, or None when it did not answer in time.
+
+        Args:
+            name: a key of TRANSITIONS.
+            timeout_s: bound on the answer.
+        """
+        from lifecycle_msgs.msg import Transition  # heavy
+        from lifecycle_msgs.srv import ChangeState  # heavy
+
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
+        call = self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify)
+        if self._changes.wait_for(lambda: self._look(lambda: call.done), timeout_s):
+            return bool(call.response.success)
+        call.abandon()
+        return None
+
+    def _look(self, fact: Callable[[], bool]) -> bool:
+        if fact():
+            return True
+        self._check()
+        return False
+
+    def _name(self, service: str) -> str:
+        return f"{self._node}/{service}"

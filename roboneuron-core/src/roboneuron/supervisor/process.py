@@ -1,0 +1,140 @@
+"""One module process: spawned in a session of its own, reaped at once when it ends, killed with all its children."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from roboneuron.supervisor.logs import read_tail
+from roboneuron.supervisor.shared_memory import owned_segments, remove_stale
+
+log = logging.getLogger(__name__)
+LAST_LINES = 15
+"""How much of a dead module's log goes into messages."""
+
+
+class ModuleProcess:
+    """A running child and, later, how it ended. Made by `Spawner.spawn`; every method may be called from any thread."""
+
+    def __init__(self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int) -> None:
+        self.name = name
+        self.pid = child.pid
+        self.log_path = log_path
+        self.started_at = datetime.now(UTC)
+        self._child = child
+        self._log_offset = log_offset
+        self._reaping = threading.Lock()
+        self._exited = threading.Event()
+        self._segments: frozenset[str] = frozenset()
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; negative for the signal that ended it."""
+        return self._child.returncode if self._exited.is_set() else None
+
+    def last_lines(self, lines: int = LAST_LINES) -> tuple[str, ...]:
+        """The end of what this process has written to its log."""
+        return read_tail(self.log_path, lines=lines, offset=self._log_offset)
+
+    def note_segments(self) -> None:
+        """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
+        self._segments |= owned_segments(self.pid)
+
+    def terminate(self) -> None:
+        """SIGTERM to the process: hold, release, leave."""
+        with self._reaping:
+            if self._child.returncode is None:
+                self._child.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """SIGKILL to the process and everything it has started in its session."""
+        self.note_segments()
+        with self._reaping:
+            if self._child.returncode is None:
+                _kill_group(self.pid)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether it ended, was reaped and cleaned up within `timeout_s`."""
+        return self._exited.wait(timeout_s)
+
+    def reap(self, on_exit: Callable[[ModuleProcess], None]) -> None:
+        """Wait for the end on a thread of its own; then kill what it left, reap it, and call `on_exit`."""
+
+        def watch() -> None:
+            # Until it is reaped its number cannot be given to another process: killing its group is safe.
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            with self._reaping:
+                _kill_group(self.pid)
+                self._child.wait()
+            if self._child.stdin is not None:
+                with suppress(OSError):
+                    self._child.stdin.close()
+            removed = remove_stale(self._segments)
+            if removed:
+                log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, self.name, self.pid)
+            self._exited.set()
+            on_exit(self)
+
+        threading.Thread(target=watch, name=f"reaper-{self.name}", daemon=True).start()
+
+
+def _kill_group(group: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, signal.SIGKILL)
+
+
+class Spawner:
+    """Starts processes from one thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
+
+    def spawn(
+        self,
+        name: str,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        first_line: str,
+        log_path: Path,
+    ) -> ModuleProcess:
+        """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to `log_path`.
+
+        Raises:
+            OSError: the command cannot be started.
+        """
+        return self._thread.submit(self._spawn, name, command, environment, first_line, log_path).result()
+
+    def close(self) -> None:
+        """End the thread; children that are still alive get their death signal."""
+        self._thread.shutdown(wait=True)
+
+    @staticmethod
+    def _spawn(
+        name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
+    ) -> ModuleProcess:
+        log_path.parent.mkdir(parents=True, exist_ok=True)
+        with log_path.open("ab") as output:
+            offset = output.tell()
+            child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it
+                list(command),
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                start_new_session=True,
+            )
+        process = ModuleProcess(name, child, log_path, offset)
+        assert child.stdin is not None
+        # A child that dies before it reads is noticed by its reaper.
+        with suppress(BrokenPipeError):
+            child.stdin.write(first_line.encode() + b"\n")
+            child.stdin.flush()
+        return process

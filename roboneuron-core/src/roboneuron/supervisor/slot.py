@@ -1,0 +1,162 @@
+"""One place for one module: what is in it, and which change of it is allowed now."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Literal
+
+from roboneuron.errors import NotReadyError, StateError
+from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.process import ModuleProcess
+
+Phase = Literal["stopped", "starting", "running", "stopping", "exited"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exit:
+    """How a module ended that nobody had stopped.
+
+    Attributes:
+        pid: its process id.
+        code: exit code; negative for the signal.
+        at: when that was noticed.
+        last_lines: the end of its log.
+    """
+
+    pid: int
+    code: int
+    at: datetime
+    last_lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Choice:
+    """What a module was started with, for messages and the status: {"backend": "servo", ...}."""
+
+    settings: ModuleSettings
+    names: Mapping[str, str] = field(default_factory=dict)
+
+
+class Slot:
+    """The phases of one module; every change is made under the lock of `changes` and announced."""
+
+    def __init__(self, kind: ModuleKind, changes: Changes) -> None:
+        self.kind = kind
+        self.phase: Phase = "stopped"
+        self.process: ModuleProcess | None = None
+        self.choice: Choice | None = None
+        self.order = 0
+        self.exit: Exit | None = None
+        self._cancelled = ""
+        self._changes = changes
+
+    def begin_start(self, choice: Choice, order: int) -> None:
+        """Claim the slot for a start.
+
+        Raises:
+            StateError: something is in it; the message says what.
+        """
+        with self._changes.lock:
+            if self.phase not in ("stopped", "exited"):
+                raise StateError(
+                    f"{self.kind} is already {self.phase} ({self.describe()}).",
+                    hint=f"Call stop_{self.kind} first"
+                    + (", or switch_inference." if self.kind == "inference" else "."),
+                )
+            self.phase, self.choice, self.order = "starting", choice, order
+            self.process, self.exit, self._cancelled = None, None, ""
+        self._changes.notify()
+
+    def begin_stop(self) -> ModuleProcess:
+        """Claim the slot for a stop and return what is to be ended.
+
+        Raises:
+            StateError: nothing is running.
+        """
+        with self._changes.lock:
+            if self.phase == "exited":
+                raise StateError(f"{self.kind} is not running: {self.explain_exit()}")
+            if self.phase != "running" or self.process is None:
+                raise StateError(f"{self.kind} is not running (it is {self.phase}).")
+            self.phase = "stopping"
+            process = self.process
+        self._changes.notify()
+        return process
+
+    def settle(self, phase: Phase) -> None:
+        """A start or stop has come to its end."""
+        with self._changes.lock:
+            self.phase = phase
+            if phase == "stopped":
+                self.process = self.choice = None
+        self._changes.notify()
+
+    def cancel(self, reason: str) -> bool:
+        """End a start in progress; returns whether there was one."""
+        with self._changes.lock:
+            starting = self.phase == "starting"
+            if starting:
+                self._cancelled = reason
+        self._changes.notify()
+        return starting
+
+    def check_not_cancelled(self) -> None:
+        """Raises StateError when the start in progress was cancelled."""
+        if self._cancelled:
+            raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
+
+    def check_alive(self, doing: str) -> None:
+        """Raises NotReadyError when the process has ended, with its last words."""
+        process = self.process
+        if process is not None and process.exit_code is not None:
+            raise NotReadyError(
+                f"The {self.kind} process (pid {process.pid}) ended with {_ending(process.exit_code)} while {doing}.",
+                hint=f"Its last lines: {_quote(process.last_lines())} Whole log: {process.log_path}",
+            )
+
+    def note_exit(self, process: ModuleProcess) -> bool:
+        """The process ended; returns whether nobody had asked for that."""
+        code = process.exit_code
+        with self._changes.lock:
+            unexpected = self.process is process and self.phase == "running"
+            if unexpected:
+                self.phase = "exited"
+                self.exit = Exit(
+                    pid=process.pid,
+                    code=code if code is not None else 0,
+                    at=datetime.now(UTC),
+                    last_lines=process.last_lines(),
+                )
+        self._changes.notify()
+        return unexpected
+
+    def describe(self) -> str:
+        """Pid, choices and start time, for messages."""
+        parts = []
+        if self.process is not None:
+            parts.append(f"pid {self.process.pid}")
+        if self.choice is not None:
+            parts += [f"{key} {name!r}" for key, name in self.choice.names.items() if name]
+        if self.process is not None:
+            parts.append(f"since {self.process.started_at.astimezone():%H:%M:%S}")
+        return ", ".join(parts) or "process not spawned yet"
+
+    def explain_exit(self) -> str:
+        """How it ended by itself."""
+        if self.exit is None:
+            return ""
+        return (
+            f"its process (pid {self.exit.pid}) ended by itself with {_ending(self.exit.code)} "
+            f"at {self.exit.at.astimezone():%H:%M:%S}. Last lines: {_quote(self.exit.last_lines)}"
+        )
+
+
+def _ending(code: int) -> str:
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
+
+
+def _quote(lines: tuple[str, ...]) -> str:
+    return " | ".join(line.strip() for line in lines if line.strip())[-1500:] or "(none)."

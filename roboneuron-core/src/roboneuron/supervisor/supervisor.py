@@ -1,0 +1,287 @@
+"""Starts, watches and stops module processes; usable from any thread, and every wait has a bound."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
+from roboneuron.ros.environment import module_environment
+from roboneuron.supervisor.bringup import Bringup
+from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.connection import Connection
+from roboneuron.supervisor.health import StatusBoard
+from roboneuron.supervisor.lifecycle import LifecycleClient
+from roboneuron.supervisor.logs import run_directory
+from roboneuron.supervisor.process import ModuleProcess, Spawner
+from roboneuron.supervisor.slot import Choice, Phase, Slot
+from roboneuron.supervisor.view import ModuleView, Stopped
+
+if TYPE_CHECKING:
+    from roboneuron.ros.link import RosLink
+
+log = logging.getLogger(__name__)
+_DEACTIVATE_S = 2.0
+_KILL_S = 5.0
+"""After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
+Stage = Callable[[str], None]
+
+
+def module_command(python: str | None) -> list[str]:
+    """How a module process is started; `-P` keeps the working directory out of its import path."""
+    return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
+
+
+def _ignore(_: str) -> None:
+    """No listener."""
+
+
+class Supervisor:
+    """At most one process of each kind.
+
+    Args:
+        state_directory: logs go to its `log` folder, and modules are told it.
+        command: how to start a module under a given interpreter.
+        on_change: called from any thread, with the kind, when a module started, stopped or ended by itself.
+    """
+
+    def __init__(
+        self,
+        state_directory: Path,
+        *,
+        command: Callable[[str | None], Sequence[str]] = module_command,
+        on_change: Stage = _ignore,
+    ) -> None:
+        self.state_directory = state_directory
+        self.log_directory = run_directory(state_directory)
+        self.changes = Changes()
+        self._command = command
+        self._on_change = on_change
+        self._board = StatusBoard(self.changes)
+        self._connection = Connection(self._board.receive, self.log_directory)
+        self._spawner = Spawner()
+        self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
+        self._order = count(1)
+        self._closed = False
+
+    @property
+    def link(self) -> RosLink:
+        """The ROS node of the control plane; opened on first use."""
+        return self._connection.link()
+
+    def open(self) -> None:
+        """Begin to join the ROS graph in the background; returns at once."""
+        self._connection.begin()
+
+    def start(
+        self,
+        kind: ModuleKind,
+        config: Config,
+        *,
+        python: str | None = None,
+        names: Mapping[str, str] | None = None,
+        on_stage: Stage = _ignore,
+    ) -> ModuleView:
+        """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves nothing behind.
+
+        Args:
+            kind: which module.
+            config: the effective configuration it is told.
+            python: interpreter of its own environment.
+            names: what was chosen, for messages.
+            on_stage: called with a phrase whenever the start has come further.
+
+        Raises:
+            StateError: it is already there, or the start was cancelled.
+            NotReadyError: it died, or something is missing; the message names it.
+            RoboNeuronError: what the module itself says is wrong.
+        """
+        settings = ModuleSettings(kind=kind, node_name=kind, config=config, state_directory=str(self.state_directory))
+        slot = self._slots[kind]
+        with self.changes.lock:
+            if self._closed:
+                raise StateError("The server is shutting down.")
+            slot.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
+        deadline_s = time.monotonic() + config.supervisor.start_timeout_s
+        phase: Phase = "stopped"
+        try:
+            slot.process = self._spawn(settings, python)
+            bringup = Bringup(slot, slot.process, settings, self.link, self._board, self.changes, on_stage)
+            bringup.run(deadline_s)
+            phase = "running"
+        finally:
+            if phase != "running" and slot.process is not None:
+                self._end([slot.process], config.supervisor.stop_timeout_s)
+                self._board.forget(settings.status_name, slot.process.pid)
+            slot.settle(phase)
+            if slot.process is not None and slot.process.exit_code is not None:
+                self._on_exit(slot, settings, slot.process)  # it died between its proof and here
+            self._on_change(kind)
+        return self.view(kind)
+
+    def stop(self, kind: ModuleKind) -> Stopped | None:
+        """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
+
+        Raises:
+            StateError: it is not running.
+        """
+        slot = self._slots[kind]
+        if slot.cancel(f"stop_{kind} was called."):
+            self._await_settled(slot)
+            if slot.phase != "running":
+                return None
+        process = slot.begin_stop()
+        return self._finish([(slot, process)])[0]
+
+    def stop_all(self) -> list[Stopped]:
+        """Stop everything in the reverse order of starting; never raises for what is not running."""
+        for slot in self._slots.values():
+            if slot.cancel("everything is being stopped."):
+                self._await_settled(slot)
+        claimed: list[tuple[Slot, ModuleProcess]] = []
+        for slot in sorted(self._slots.values(), key=lambda s: -s.order):
+            try:
+                claimed.append((slot, slot.begin_stop()))
+            except StateError:
+                continue
+        return self._finish(claimed)
+
+    def view(self, kind: ModuleKind) -> ModuleView:
+        """What is known of a module now."""
+        slot = self._slots[kind]
+        with self.changes.lock:
+            report = None
+            if slot.process is not None and slot.choice is not None:
+                report = self._board.newest(slot.choice.settings.status_name, slot.process.pid)
+            return ModuleView(
+                kind=kind,
+                phase=slot.phase,
+                process=slot.process,
+                choice=slot.choice,
+                report=report if slot.phase != "exited" else None,
+                exit=slot.exit,
+            )
+
+    def views(self) -> list[ModuleView]:
+        """All modules, in the order robot, perception, inference, control."""
+        return [self.view(kind) for kind in MODULE_KINDS]
+
+    def require_running(self, kind: ModuleKind) -> ModuleView:
+        """The view of a running module.
+
+        Raises:
+            StateError: it is not running; the message says why and what to do.
+        """
+        view = self.view(kind)
+        if view.phase == "exited":
+            raise StateError(f"{kind} is not running: {self._slots[kind].explain_exit()}", hint=f"Call start_{kind}.")
+        if view.phase != "running":
+            raise StateError(f"{kind} is not running (it is {view.phase}).", hint=f"Call start_{kind} first.")
+        return view
+
+    def log_path(self, kind: ModuleKind) -> Path:
+        """Where a module of this server logs."""
+        return self.log_directory / f"{kind}.log"
+
+    def close(self) -> None:
+        """Stop everything, leave the ROS graph, end all threads; idempotent."""
+        with self.changes.lock:
+            self._closed = True
+        self.stop_all()
+        self._connection.close()
+        self._spawner.close()
+
+    def _spawn(self, settings: ModuleSettings, python: str | None) -> ModuleProcess:
+        command = self._command(python)
+        try:
+            process = self._spawner.spawn(
+                settings.kind,
+                command,
+                module_environment(python),
+                settings.model_dump_json(),
+                self.log_path(settings.kind),
+            )
+        except OSError as error:
+            raise ConfigurationError(
+                f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
+                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
+            ) from error
+        log.info("Spawned %s: pid %d.", settings.kind, process.pid)
+        self._board.watch(settings.status_name, process.pid)
+        slot = self._slots[settings.kind]
+        process.reap(lambda ended: self._on_exit(slot, settings, ended))
+        return process
+
+    def _on_exit(self, slot: Slot, settings: ModuleSettings, process: ModuleProcess) -> None:
+        if slot.note_exit(process):
+            log.error("%s is gone: %s", slot.kind, slot.explain_exit())
+            self._board.forget(settings.status_name, process.pid)
+            self._on_change(slot.kind)
+
+    def _finish(self, claimed: Sequence[tuple[Slot, ModuleProcess]]) -> list[Stopped]:
+        """Silence all in order, then end them together."""
+        started_s = time.monotonic()
+        choices = [slot.choice for slot, _ in claimed]
+        timeout_s = 0.0
+        for (slot, _), choice in zip(claimed, choices, strict=True):
+            if choice is not None:
+                timeout_s = max(timeout_s, choice.settings.config.supervisor.stop_timeout_s)
+                self._deactivate(slot, choice.settings)
+        killed = self._end([process for _, process in claimed], timeout_s)
+        results = []
+        for (slot, process), choice in zip(claimed, choices, strict=True):
+            if choice is not None:
+                self._board.forget(choice.settings.status_name, process.pid)
+            slot.settle("stopped")
+            log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
+            results.append(
+                Stopped(
+                    kind=slot.kind,
+                    pid=process.pid,
+                    exit_code=process.exit_code if process.exit_code is not None else -9,
+                    killed=process.pid in killed,
+                    took_s=time.monotonic() - started_s,
+                )
+            )
+            self._on_change(slot.kind)
+        return results
+
+    def _deactivate(self, slot: Slot, settings: ModuleSettings) -> None:
+        """Ask for silence; what does not answer is ended anyway."""
+        node = f"/{settings.status_name}"
+        limit_s = min(_DEACTIVATE_S, settings.config.supervisor.stop_timeout_s / 2)
+        client = LifecycleClient(self.link, node, self.changes, lambda: slot.check_alive("being deactivated"))
+        try:
+            if client.transition("deactivate", limit_s) is None:
+                log.warning("%s did not answer `deactivate` within %.1f s.", slot.kind, limit_s)
+        except RoboNeuronError as error:
+            log.warning("Deactivating %s: %s", slot.kind, error)
+
+    def _end(self, processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
+        """SIGTERM, bounded wait, SIGKILL, reap; returns the pids that had to be killed."""
+        for process in processes:
+            process.note_segments()
+            process.terminate()
+        deadline_s = time.monotonic() + timeout_s
+        killed = set()
+        for process in processes:
+            if not process.wait(max(0.0, deadline_s - time.monotonic())):
+                log.warning("%s (pid %d) did not leave within %g s: killed.", process.name, process.pid, timeout_s)
+                process.kill()
+                killed.add(process.pid)
+        for process in processes:
+            if not process.wait(_KILL_S):
+                raise NotReadyError(f"{process.name} (pid {process.pid}) survives SIGKILL: it hangs in the kernel.")
+        return killed
+
+    def _await_settled(self, slot: Slot) -> None:
+        config = slot.choice.settings.config.supervisor if slot.choice is not None else None
+        bound_s = (config.stop_timeout_s if config else 0.0) + _KILL_S + 1.0
+        self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

@@ -1,0 +1,105 @@
+"""A module process with faults on demand: the real node, protocol and lifeline around behaviour that misbehaves.
+
+The fault is read from `[plugins.fault]` of the configuration: module kind -> word.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+from roboneuron.errors import CheckpointError, UngroundedError
+from roboneuron.modules.lifeline import follow_parent, watch_stdin
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings, StatusKey
+from roboneuron.ros.environment import prepare_environment
+
+parent = os.getppid()
+follow_parent(parent)
+prepare_environment()
+settings = ModuleSettings.model_validate_json(sys.stdin.buffer.raw.readline())  # type: ignore[attr-defined]
+fault = str(settings.config.options("fault").get(settings.kind, ""))
+print(f"fake {settings.kind} with fault {fault!r}", flush=True)
+if fault == "dies-at-once":
+    print("cannot open the thing", flush=True)
+    sys.exit(7)
+
+import rclpy  # noqa: E402
+from rcl_interfaces.msg import SetParametersResult  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+
+from roboneuron.modules.module import Module, ModuleNode  # noqa: E402
+
+
+class FakeModule(Module):
+    """Becomes ready when it is activated, except where its fault says otherwise."""
+
+    def configure(self) -> None:
+        if fault == "refuses-configure":
+            raise CheckpointError("The weights of 'fake' are truncated: 3 of 7 shards.", hint="Download them again.")
+        if fault == "dies-in-configure":
+            print("segmentation fault, not really", flush=True)
+            os._exit(11)
+        if fault == "hangs-in-configure":
+            time.sleep(3600)
+        if fault == "slow-configure":
+            time.sleep(2.0)
+        if fault == "has-a-child":
+            child = subprocess.Popen(["sleep", "3600"])
+            self.status.set_value("child_pid", child.pid)
+        self.node.add_on_set_parameters_callback(self._on_parameters)
+        if settings.kind == "inference":
+            assert self.config.inference is not None
+            self.node.declare_parameter(INSTRUCTION_PARAMETER, self.config.inference.instruction)
+
+    def activate(self) -> None:
+        if fault == "never-ready":
+            self.status.set_waiting("images on camera/front/image")
+        elif fault == "fails-when-active":
+            error = UngroundedError("Nothing here is a 'red cube'.", hint="Name what is visible.")
+            threading.Timer(0.2, self.status.set_error, [error]).start()
+        else:
+            self.status.set_value("detail.cube_z_m", "0.025")
+            self.status.set_ready()
+        if fault == "dies-when-ready":
+            threading.Timer(0.4, os._exit, [13]).start()
+
+    def deactivate(self) -> None:
+        print("deactivated", flush=True)
+
+    def close(self) -> None:
+        print("closed", flush=True)
+
+    def _on_parameters(self, parameters: list[object]) -> SetParametersResult:
+        for parameter in parameters:
+            text = str(parameter.value)  # type: ignore[attr-defined]
+            self.count = getattr(self, "count", 0) + 1
+            self.status.clear_error()
+            self.status.set_value(StatusKey.INSTRUCTION, text)
+            self.status.set_value(StatusKey.INSTRUCTION_COUNT, self.count)
+            self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 0)
+            if "unicorn" in text:
+                self.status.set_error(UngroundedError(f"Nothing here is what {text!r} names."))
+            elif text:
+                self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 3)
+            self.status.changed.set()
+        return SetParametersResult(successful=True)
+
+
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+stop = threading.Event()
+for number in (signal.SIGTERM, signal.SIGINT):
+    signal.signal(number, signal.SIG_IGN if fault == "ignores-sigterm" else lambda *_: stop.set())
+node = ModuleNode(settings, FakeModule)
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+watch_stdin(stop.set)
+while not stop.is_set():
+    executor.spin_once()
+node.release()
+node.destroy_node()
+rclpy.try_shutdown()

@@ -1,0 +1,147 @@
+"""Starting module processes, and what is left when that fails."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from roboneuron.config import Config
+from roboneuron.errors import CheckpointError, NotReadyError, StateError, UngroundedError
+from roboneuron.supervisor.supervisor import Supervisor
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+MakeConfig = Callable[..., Config]
+
+
+def is_gone(pid: int) -> bool:
+    """Whether the process is no longer in the process table, not even as a zombie."""
+    return not os.path.exists(f"/proc/{pid}")
+
+
+def children() -> set[int]:
+    """Pids of all children of this process."""
+    tasks = f"/proc/{os.getpid()}/task"
+    found = set()
+    for task in os.listdir(tasks):
+        with open(f"{tasks}/{task}/children") as file:
+            found |= {int(word) for word in file.read().split()}
+    return found
+
+
+def test_a_started_module_is_active_ready_and_reported(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    stages: list[str] = []
+    view = supervisor.start("robot", make_config(), names={"robot": "fake"}, on_stage=stages.append)
+    assert view.phase == "running"
+    assert view.report is not None
+    assert view.report.state == "active"
+    assert view.report.ready
+    assert view.report.detail == {"cube_z_m": "0.025"}
+    assert view.report.emergency_stop is False
+    assert stages == [
+        "robot: starting",
+        "robot: configuring",
+        "robot: activating",
+        "robot: waiting for the first output",
+    ]
+
+
+def test_a_refused_configure_raises_the_modules_own_error(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    before = children()
+    with pytest.raises(CheckpointError, match="truncated: 3 of 7 shards") as caught:
+        supervisor.start("robot", make_config(robot="refuses-configure"))
+    assert caught.value.hint == "Download them again."
+    assert supervisor.view("robot").phase == "stopped"
+    assert children() == before
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("dies-at-once", ["exit code 7", "cannot open the thing"]),
+        ("dies-in-configure", ["exit code 11", "while configuring", "segmentation fault, not really"]),
+    ],
+)
+def test_a_death_during_the_start_is_told_with_the_last_lines(
+    supervisor: Supervisor, make_config: MakeConfig, fault: str, words: list[str]
+) -> None:
+    before = children()
+    with pytest.raises(NotReadyError) as caught:
+        supervisor.start("robot", make_config(robot=fault))
+    for word in words:
+        assert word in str(caught.value)
+    assert children() == before
+
+
+def test_what_is_missing_is_named_when_the_time_is_over(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    before = children()
+    with pytest.raises(NotReadyError, match=r"not ready within 4 s; missing: images on camera/front/image"):
+        supervisor.start("perception", make_config(start_timeout_s=4.0, perception="never-ready"))
+    assert children() == before
+    assert supervisor.view("perception").phase == "stopped"
+
+
+def test_a_hang_in_configure_ends_at_the_timeout(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    before = children()
+    with pytest.raises(NotReadyError, match="missing: the end of 'configure'"):
+        supervisor.start("robot", make_config(start_timeout_s=4.0, stop_timeout_s=0.5, robot="hangs-in-configure"))
+    assert children() == before
+
+
+def test_an_error_that_stays_ends_the_start_with_that_error(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    with pytest.raises(UngroundedError, match="Nothing here is a 'red cube'"):
+        supervisor.start("inference", make_config(inference="fails-when-active"))
+
+
+def test_a_second_start_says_what_is_running_and_harms_nothing(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    view = supervisor.start("inference", make_config(), names={"backend": "fake"})
+    assert view.process is not None
+    with pytest.raises(StateError, match=rf"already running \(pid {view.process.pid}, backend 'fake', since \d\d:"):
+        supervisor.start("inference", make_config())
+    assert supervisor.require_running("inference").process is view.process
+
+
+def test_a_start_during_a_start_is_refused_and_the_first_succeeds(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
+    configuring = threading.Event()
+    config = make_config(robot="slow-configure")
+
+    def on_stage(stage: str) -> None:
+        if stage == "robot: configuring":
+            configuring.set()
+
+    first = threading.Thread(target=supervisor.start, args=("robot", config), kwargs={"on_stage": on_stage})
+    first.start()
+    assert configuring.wait(20)
+    with pytest.raises(StateError, match="already starting"):
+        supervisor.start("robot", config)
+    first.join(20)
+    assert supervisor.view("robot").phase == "running"
+
+
+def test_a_stop_during_a_start_cancels_it(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    configuring = threading.Event()
+    errors: list[BaseException] = []
+
+    def start() -> None:
+        try:
+            supervisor.start(
+                "robot",
+                make_config(stop_timeout_s=0.5, robot="hangs-in-configure"),
+                on_stage=lambda stage: configuring.set() if stage == "robot: configuring" else None,
+            )
+        except StateError as error:
+            errors.append(error)
+
+    before = children()
+    first = threading.Thread(target=start)
+    first.start()
+    assert configuring.wait(20)
+    assert supervisor.stop("robot") is None
+    first.join(5)
+    assert not first.is_alive()
+    assert "stop_robot was called" in str(errors[0])
+    assert children() == before

@@ -1,0 +1,159 @@
+"""Stopping module processes, their death by other hands, and what may remain: nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from roboneuron.config import Config
+from roboneuron.errors import StateError
+from roboneuron.supervisor.shared_memory import SHARED_MEMORY, owned_segments
+from roboneuron.supervisor.supervisor import Supervisor
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+MakeConfig = Callable[..., Config]
+
+
+def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not fact():
+        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
+        threading.Event().wait(0.02)
+
+
+def is_gone(pid: int) -> bool:
+    return not os.path.exists(f"/proc/{pid}")
+
+
+def start(supervisor: Supervisor, config: Config, kind: str = "robot") -> int:
+    view = supervisor.start(kind, config)  # type: ignore[arg-type]
+    assert view.process is not None
+    return view.process.pid
+
+
+def test_a_stopped_module_was_deactivated_and_is_reaped(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    pid = start(supervisor, make_config())
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert (stopped.pid, stopped.exit_code, stopped.killed) == (pid, 0, False)
+    assert is_gone(pid)
+    assert "deactivated" in supervisor.log_path("robot").read_text()
+    assert supervisor.view("robot").phase == "stopped"
+
+
+def test_a_stop_of_what_is_not_running_is_an_error(supervisor: Supervisor) -> None:
+    with pytest.raises(StateError, match="robot is not running"):
+        supervisor.stop("robot")
+
+
+@pytest.mark.parametrize("fault", ["ignores-sigterm", "has-a-child"])
+def test_what_does_not_leave_is_killed_with_its_children(
+    supervisor: Supervisor, make_config: MakeConfig, fault: str
+) -> None:
+    pid = start(supervisor, make_config(stop_timeout_s=1.0, robot=fault))
+    report = supervisor.view("robot").report
+    assert report is not None
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert stopped.killed == (fault == "ignores-sigterm")
+    assert stopped.took_s < 4.0
+    assert is_gone(pid)
+    if fault == "has-a-child":
+        wait_until(lambda: is_gone(int(report.metrics["child_pid"])), 2.0, "its child is gone")
+
+
+def test_a_frozen_process_is_killed_and_leaves_no_shared_memory(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
+    pid = start(supervisor, make_config(stop_timeout_s=1.0))
+    segments = owned_segments(pid)
+    assert segments
+    os.kill(pid, signal.SIGSTOP)
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert stopped.killed
+    assert is_gone(pid)
+    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
+
+
+def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
+    pid = start(supervisor, make_config())
+    segments = owned_segments(pid)
+    killed_s = time.monotonic()
+    os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: supervisor.view("robot").phase == "exited", 0.5, "the death is in the status")
+    print(f"noticed after {1e3 * (time.monotonic() - killed_s):.0f} ms")
+    view = supervisor.view("robot")
+    assert view.exit is not None
+    assert (view.exit.pid, view.exit.code) == (pid, -9)
+    assert "fake robot with fault ''" in view.exit.last_lines
+    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
+    with pytest.raises(StateError, match=rf"\(pid {pid}\) ended by itself with signal 9"):
+        supervisor.stop("robot")
+    start(supervisor, make_config())
+    assert supervisor.view("robot").phase == "running"
+
+
+def test_a_death_right_after_the_proof_is_noticed(supervisor: Supervisor, make_config: MakeConfig) -> None:
+    start(supervisor, make_config(robot="dies-when-ready"))
+    wait_until(lambda: supervisor.view("robot").phase == "exited", 3.0, "the death is in the status")
+    exited = supervisor.view("robot").exit
+    assert exited is not None
+    assert exited.code == 13
+
+
+def test_everything_is_stopped_in_reverse_order_and_no_thread_remains(
+    tmp_path: Path, make_config: MakeConfig, fake_command: Callable[[str | None], list[str]]
+) -> None:
+    threads = set(threading.enumerate())
+    ended: list[str] = []
+    supervisor = Supervisor(tmp_path, command=fake_command, on_change=ended.append)
+    config = make_config()
+    pids = [start(supervisor, config, kind) for kind in ("robot", "perception", "control")]
+    ended.clear()
+    started_s = time.monotonic()
+    supervisor.close()
+    supervisor.close()
+    assert time.monotonic() - started_s < 5.0
+    assert ended == ["control", "perception", "robot"]
+    assert all(is_gone(pid) for pid in pids)
+    assert set(threading.enumerate()) - threads == set()
+    with pytest.raises(StateError, match="shutting down"):
+        supervisor.start("robot", config)
+
+
+PARENT = """
+import sys, time
+from pathlib import Path
+from roboneuron.config import parse_config
+from roboneuron.supervisor.supervisor import Supervisor
+config = parse_config('[robot]\\nname = "fake"')
+supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
+for kind in ("robot", "perception"):
+    print(supervisor.start(kind, config).process.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_children_die_when_their_parent_is_killed(
+    tmp_path: Path, fake_command: Callable[[str | None], list[str]]
+) -> None:
+    script = PARENT.format(command=fake_command(None), state=str(tmp_path))
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        parent.kill()
+        parent.wait(5)
+        killed_s = time.monotonic()
+        wait_until(lambda: all(is_gone(pid) for pid in pids), 3.0, "both children are gone")
+        print(f"children gone {1e3 * (time.monotonic() - killed_s):.0f} ms after their parent")
