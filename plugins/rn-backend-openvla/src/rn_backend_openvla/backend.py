@@ -1,0 +1,144 @@
+"""The backends `openvla` and `openvla-tcp`: an image and an instruction to one action."""
+
+from __future__ import annotations
+
+import time
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_openvla.bins import ActionBins
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.config import OpenVlaConfig
+from rn_backend_openvla.policy import action_bins, policy_model, token_request
+from rn_backend_openvla.preprocessing import Preprocessor
+from rn_backend_openvla.prompt import PromptEncoder
+from rn_backend_openvla.statistics import Scaling, choose_statistics
+from roboneuron.contract.action import ACTION_SIZE, ActionChunk
+from roboneuron.contract.decoding import TokenReply
+from roboneuron.contract.observation import Observation
+from roboneuron.contract.protocols import Acceleration, Runtime
+from roboneuron.errors import ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+
+F64 = NDArray[np.float64]
+
+CAMERA = "primary"
+"""Role of the one camera."""
+
+
+class OpenVlaBackend:
+    """Follows `roboneuron.contract.Backend`."""
+
+    frame: ClassVar[str] = "base"
+    """Frame of the profiles it takes: without the TCP pose only base-frame actions can be converted."""
+
+    def __init__(
+        self, config: OpenVlaConfig, *, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+    ) -> None:
+        self._config = config
+        self._profile = config.action_profile()
+        self._runtime = runtime
+        self._acceleration = acceleration
+        self._encoder: PromptEncoder
+        self._preprocessor: Preprocessor
+        self._scaling: Scaling
+        self._bins: ActionBins
+        self._visual_tokens = 0
+        self._loaded = False
+
+    def load(self) -> None:
+        """Read the checkpoint and give it to the runtime.
+
+        Raises:
+            CheckpointError: files are absent, damaged or of another family.
+            ConfigurationError: an option does not fit the checkpoint.
+        """
+        config = self._config
+        if self._runtime is None:
+            raise ConfigurationError("Backend 'openvla' needs a runtime.", hint="Install rn-runtime-torch.")
+        check_frame(self._profile.frame, self.frame)
+        checkpoint = Checkpoint.read(config.checkpoint)
+        key, statistics = choose_statistics(checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source)
+        self._scaling = Scaling.of(statistics.action, "q99", 0.0)
+        if self._scaling.width != ACTION_SIZE:
+            raise ConfigurationError(
+                f"Data set {key!r} has {self._scaling.width} action values, a single arm's TCP delta has {ACTION_SIZE}."
+            )
+        template = config.prompt if config.prompt != "auto" else "v01" if checkpoint.is_vicuna else "v02"
+        self._encoder = PromptEncoder(config.checkpoint / "tokenizer.json", template)
+        self._preprocessor = Preprocessor(
+            size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
+        )
+        self._bins = action_bins(checkpoint)
+        model = policy_model(checkpoint, action_width=ACTION_SIZE, max_prompt_tokens=config.max_prompt_tokens)
+        self._visual_tokens = model.visual_tokens
+        self._runtime.load(model, self._acceleration)
+        self._loaded = True
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """One action for the newest image.
+
+        Raises:
+            UngroundedError: the camera or the pose is missing from the observation.
+            UnsafeError: the model produced non-finite values.
+        """
+        if not self._loaded or self._runtime is None:
+            raise StateError("Backend 'openvla' is not loaded; call load first.")
+        started = time.perf_counter()
+        frame = observation.frames.get(CAMERA)
+        if frame is None:
+            raise UngroundedError(
+                f"The observation has no image of role {CAMERA!r}, only {sorted(observation.frames)}."
+            )
+        if self.frame == "tcp" and observation.ee_pose is None:
+            raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
+        text = self._encoder.to_text(observation.instruction)
+        image = self._preprocessor.to_model_image(frame.image)
+        request = token_request(
+            text=text,
+            ids=self._encoder.to_ids(text),
+            image=image,
+            pixel_values=self._preprocessor.to_pixels(image),
+            action_width=ACTION_SIZE,
+            timeout_s=self._config.timeout_s,
+        )
+        prepared = time.perf_counter()
+        reply = self._runtime.run(request)
+        if not isinstance(reply, TokenReply) or reply.tokens.shape != (ACTION_SIZE,):
+            raise PluginError(f"The runtime answered {reply!r}, expected {ACTION_SIZE} tokens.")
+        native = self._scaling.to_units(self._bins.to_values(reply.tokens))[None]
+        if not np.isfinite(native).all():
+            raise UnsafeError("The model produced non-finite values; nothing was published.")
+        actions = self._profile.to_contract(native, observation.ee_pose)
+        metrics = {
+            "preprocess_ms": (prepared - started) * 1e3,
+            "inference_ms": (time.perf_counter() - started) * 1e3,
+            "visual_tokens": float(self._visual_tokens),
+            **reply.metrics,
+        }
+        return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics)
+
+    def reset(self) -> None:
+        """Nothing is remembered between observations."""
+
+    def close(self) -> None:
+        """Release the runtime's model."""
+        self._loaded = False
+        if self._runtime is not None:
+            self._runtime.close()
+
+
+class OpenVlaTcpBackend(OpenVlaBackend):
+    """The same for checkpoints whose actions are in the tool frame."""
+
+    frame: ClassVar[str] = "tcp"
+
+
+def check_frame(profile: str, backend: str) -> None:
+    """Raise ConfigurationError when a profile's frame is not the one that a backend converts."""
+    if profile != backend:
+        raise ConfigurationError(
+            f"The profile's actions are in the frame {profile!r}, this backend converts from {backend!r}.",
+            hint="Backends whose names end in -tcp take tool-frame checkpoints, the others base-frame ones.",
+        )

@@ -1,0 +1,54 @@
+"""What this package offers: the backends `openvla` and `openvla-tcp`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
+
+_REQUIRES = (
+    Requirement(module="torch", install="pip install torch"),
+    Requirement(module="tokenizers", install="pip install tokenizers"),
+    Requirement(module="PIL", install="pip install pillow"),
+)
+
+
+def _spec(name: str, summary: str, target: str, frame: str, needs_state: bool) -> BackendSpec:
+    return BackendSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_backend_openvla.backend:{target}",
+        config="rn_backend_openvla.config:OpenVlaConfig",
+        requires=_REQUIRES,
+        cameras=("primary",),
+        needs_state=needs_state,
+        needs_checkpoint=True,
+        action_space=ActionSpace(
+            width=7, translation="checkpoint", rotation="checkpoint", frame=frame, gripper="checkpoint", step_s=0.0
+        ),
+        family="openvla",
+        runtimes_required=True,
+        default_runtime="torch",
+    )
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """OpenVLA checkpoints with actions in the base frame, and with actions in the tool frame."""
+    return (
+        _spec(
+            "openvla",
+            "OpenVLA (7B and alike): one action per image from seven decoded tokens; base-frame checkpoints.",
+            "OpenVlaBackend",
+            "base",
+            False,
+        ),
+        _spec(
+            "openvla-tcp",
+            "OpenVLA checkpoints trained on tool-frame actions; also reads the measured TCP pose.",
+            "OpenVlaTcpBackend",
+            "tcp",
+            True,
+        ),
+    )

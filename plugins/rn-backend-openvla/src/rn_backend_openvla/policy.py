@@ -1,0 +1,84 @@
+"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no robot."""
+
+from __future__ import annotations
+
+import functools
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_openvla.bins import ActionBins
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.prompt import BOS_ID, FINAL_ID
+from roboneuron.contract.decoding import PolicyModel, Prompt, TokenRequest
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+FAMILY = "openvla"
+"""Name of the family in descriptors."""
+
+
+def policy_model(checkpoint: Checkpoint, *, action_width: int, max_prompt_tokens: int) -> PolicyModel:
+    """The checkpoint as any runtime of the family takes it."""
+    return PolicyModel(
+        family=FAMILY,
+        checkpoint=checkpoint.path,
+        decoder=checkpoint.decoder,
+        shards=checkpoint.shards,
+        visual_tokens=checkpoint.vision.towers[0].patches,
+        max_prompt_tokens=max_prompt_tokens,
+        max_new_tokens=action_width,
+        example=functools.partial(_example, checkpoint, action_width),
+        build_front=functools.partial(_build_front, checkpoint),
+    )
+
+
+def token_request(
+    *, text: str, ids: I64, image: U8, pixel_values: F32, action_width: int, timeout_s: float | None = None
+) -> TokenRequest:
+    """One request for one action.
+
+    Args:
+        text: the whole prompt.
+        ids: int64 (n,), ended by FINAL_ID.
+        image: uint8 (H, W, 3), what the pixels were made of.
+        pixel_values: float32 (channels, side, side).
+        action_width: values per action.
+        timeout_s: time from now after which the answer is of no use.
+    """
+    return TokenRequest(
+        prompt=Prompt(text=text, ids=ids, images=(image,), arrays={"pixel_values": pixel_values}),
+        max_new_tokens=action_width,
+        deadline_s=None if timeout_s is None else time.monotonic() + timeout_s,
+    )
+
+
+def action_bins(checkpoint: Checkpoint) -> ActionBins:
+    """The checkpoint's action tokens."""
+    return ActionBins(checkpoint.action_bins, checkpoint.token_vocabulary)
+
+
+def example_ids(count: int) -> I64:
+    """Ids of a prompt of `count` tokens that says nothing."""
+    return np.array([BOS_ID] + [FINAL_ID] * (count - 1), dtype=np.int64)
+
+
+def _example(checkpoint: Checkpoint, action_width: int, prompt_tokens: int) -> TokenRequest:
+    side = checkpoint.vision.towers[0].image
+    return token_request(
+        text="",
+        ids=example_ids(prompt_tokens),
+        image=np.zeros((side, side, 3), dtype=np.uint8),
+        pixel_values=np.zeros((3 * len(checkpoint.towers), side, side), dtype=np.float32),
+        action_width=action_width,
+    )
+
+
+def _build_front(checkpoint: Checkpoint) -> object:
+    from rn_backend_openvla.front import OpenVlaFront  # heavy: torch
+
+    return OpenVlaFront(checkpoint.vision)

@@ -1,0 +1,106 @@
+"""Data-set statistics of a checkpoint: which data set, and from model values in [-1, 1] to its units and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from roboneuron.errors import ConfigurationError
+
+F64 = NDArray[np.float64]
+Bounds = Literal["q99", "minmax"]
+
+
+class VectorStatistics(BaseModel):
+    """Ranges of one vector ("action" or "proprio"); `mask` is False where values pass through unchanged."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    min: tuple[float, ...]
+    max: tuple[float, ...]
+    q01: tuple[float, ...]
+    q99: tuple[float, ...]
+    mask: tuple[bool, ...] | None = None
+
+    @model_validator(mode="after")
+    def _check_widths(self) -> VectorStatistics:
+        widths = {len(self.min), len(self.max), len(self.q01), len(self.q99), len(self.mask or self.min)}
+        if len(widths) != 1:
+            raise ValueError(f"min, max, q01, q99 and mask have different widths: {sorted(widths)}")
+        if not np.isfinite([*self.min, *self.max, *self.q01, *self.q99]).all():
+            raise ValueError("min, max, q01 or q99 holds NaN or infinity")
+        return self
+
+
+class DatasetStatistics(BaseModel):
+    """Statistics of one data set."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    action: VectorStatistics
+    proprio: VectorStatistics | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Scaling:
+    """Linear map between [-1, 1] and a data set's range.
+
+    Attributes:
+        low, high: float64 (n,), what -1 and +1 stand for.
+        mask: bool (n,), False passes a value through.
+        epsilon: added to the range; OpenVLA uses 0, OpenVLA-OFT 1e-8.
+    """
+
+    low: F64
+    high: F64
+    mask: NDArray[np.bool_]
+    epsilon: float
+
+    @classmethod
+    def of(cls, statistics: VectorStatistics, bounds: Bounds, epsilon: float) -> Scaling:
+        """Scaling by the 1st and 99th percentile ("q99") or by the extremes ("minmax")."""
+        low, high = (statistics.q01, statistics.q99) if bounds == "q99" else (statistics.min, statistics.max)
+        mask = np.ones(len(low), dtype=bool) if statistics.mask is None else np.array(statistics.mask)
+        return cls(low=np.array(low), high=np.array(high), mask=mask, epsilon=epsilon)
+
+    @property
+    def width(self) -> int:
+        """Number of values."""
+        return len(self.low)
+
+    def to_units(self, normalized: F64) -> F64:
+        """Model values (..., n) in [-1, 1] -> the data set's units. Source: OpenVLA, un-normalisation of actions."""
+        span = self.high - self.low + self.epsilon
+        return np.where(self.mask, 0.5 * (normalized + 1.0) * span + self.low, normalized)
+
+    def to_normalized(self, values: F64) -> F64:
+        """The data set's units (..., n) -> [-1, 1], clipped. Source: OpenVLA-OFT, normalisation of proprioception."""
+        span = self.high - self.low + self.epsilon
+        return np.where(self.mask, np.clip(2.0 * (values - self.low) / span - 1.0, -1.0, 1.0), values)
+
+
+def choose_statistics(
+    known: Mapping[str, DatasetStatistics], key: str | None, source: str
+) -> tuple[str, DatasetStatistics]:
+    """The statistics of data set `key`, or of the only one when `key` is None.
+
+    Raises:
+        ConfigurationError: no such data set, or several and none named; lists the choices.
+    """
+    choices = ", ".join(sorted(known)) or "none"
+    if key is None:
+        if len(known) == 1:
+            return next(iter(known.items()))
+        raise ConfigurationError(
+            f"unnorm_key is not set, but {source} holds {len(known)} data sets.", hint=f"Choose one of: {choices}."
+        )
+    if key not in known:
+        raise ConfigurationError(
+            f"unnorm_key is {key!r}, but {source} holds no such data set.", hint=f"Choose one of: {choices}."
+        )
+    return key, known[key]

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.policy import policy_model
+from rn_runtime_torch.runtime import TorchRuntime
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _few_threads():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def golden():
+    with np.load(DATA / "openvla-tiny" / "golden.npz") as arrays:
+        return dict(arrays)
+
+
+@pytest.fixture
+def golden_checkpoint() -> Checkpoint:
+    return Checkpoint.read(DATA / "openvla-tiny")
+
+
+@pytest.fixture
+def golden_copy(tmp_path) -> Path:
+    """A copy of the golden checkpoint that a test may damage."""
+    return Path(shutil.copytree(DATA / "openvla-tiny", tmp_path / "openvla", ignore=shutil.ignore_patterns("*.npz")))
+
+
+@pytest.fixture
+def golden_runtime(golden_checkpoint) -> TorchRuntime:
+    runtime = TorchRuntime()
+    runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
+    return runtime

@@ -1,0 +1,1 @@
+"""In-process execution of VLA decoders with PyTorch."""

@@ -1,0 +1,32 @@
+"""What this package offers: the runtime `torch`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import Requirement, RuntimeSpec
+
+FAMILIES = ("openvla", "openvla-oft")
+"""Model families whose requests it answers."""
+CAPABILITIES = ("token-decode", "bidirectional-hidden", "visual-token-pruning")
+"""Kinds of request (see `roboneuron.contract.decoding`) and hooks it has."""
+
+
+@hookimpl
+def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
+    """The in-process runtime."""
+    return (
+        RuntimeSpec(
+            name="torch",
+            summary="In-process PyTorch decoder on CPU or CUDA: static cache, CUDA graphs, visual-token pruning.",
+            target="rn_runtime_torch.runtime:TorchRuntime",
+            config="rn_runtime_torch.config:TorchRuntimeConfig",
+            requires=(
+                Requirement(module="torch", install="pip install torch"),
+                Requirement(module="safetensors", install="pip install safetensors"),
+            ),
+            families=FAMILIES,
+            capabilities=CAPABILITIES,
+        ),
+    )
