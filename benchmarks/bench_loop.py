@@ -1,0 +1,223 @@
+"""Image in, action out at the controller: our inference process beside a bare rclpy relay, in turns, in one run.
+
+    python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
+
+Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between threads, checks, status.
+"Frame age" is the age of an action's image when the action arrives; it must stay below one camera period.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from roboneuron.config import parse_config
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.ros.environment import prepare_environment
+
+HERE = Path(__file__).parent
+RATE_HZ = 30.0
+SIZES = {"224x224": (224, 224), "640x480": (480, 640)}
+WARM_UP = 30
+CONFIGURATION = '[robot]\nname = "bench"\n[inference]\nbackend = "echo"\ninstruction = "go"\n'
+
+
+class Camera:
+    """Publishes numbered images and notes when the action for each arrives."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import Image
+        from std_msgs.msg import Float64MultiArray
+
+        rclpy.init()
+        self.node = rclpy.create_node("camera")
+        self.sent_s: dict[int, float] = {}
+        self.answers: list[tuple[int, float]] = []
+        self._publisher = self.node.create_publisher(Image, "/bench/camera/front/image", QoSProfile(depth=1))
+        self.node.create_subscription(Float64MultiArray, "/bench/action", self._on_action, QoSProfile(depth=1))
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def close(self) -> None:
+        """End the node."""
+        import rclpy
+
+        self._stop.set()
+        self._thread.join()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _on_action(self, message: Any) -> None:
+        self.answers.append((int(message.data[0]), time.perf_counter()))
+
+    def wait_for_peer(self) -> None:
+        """Until exactly one process listens to images and one publishes actions."""
+        end_s = time.monotonic() + 30
+        while time.monotonic() < end_s:
+            if self._publisher.get_subscription_count() == 1 and self.node.count_publishers("/bench/action") == 1:
+                return
+            time.sleep(0.02)
+        sys.exit("the other process was not found within 30 s")
+
+    def run(self, height: int, width: int, frames: int) -> tuple[np.ndarray, float, int]:
+        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the number of answers."""
+        from roboneuron.contract import Frame
+        from roboneuron.ros.messages import to_image
+
+        self.sent_s.clear()
+        self.answers.clear()
+        image = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
+        start_s = time.perf_counter()
+        for number in range(frames + WARM_UP):
+            time.sleep(max(0.0, start_s + number / RATE_HZ - time.perf_counter()))
+            image[0].reshape(-1)[:4] = np.frombuffer(number.to_bytes(4, "little"), dtype=np.uint8)
+            stamp_ns = self.node.get_clock().now().nanoseconds
+            self.sent_s[number] = time.perf_counter()
+            self._publisher.publish(to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="front")))
+        time.sleep(0.3)
+        latencies = np.array([at - self.sent_s[number] for number, at in self.answers if number >= WARM_UP])
+        return latencies, float(latencies.max()), latencies.size
+
+
+@contextmanager
+def relay(environment: dict[str, str]) -> Iterator[None]:
+    """The bare relay process."""
+    process = subprocess.Popen([sys.executable, str(HERE / "loop_relay.py")], env=environment)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+@contextmanager
+def inference(environment: dict[str, str], camera: Camera, scratch: Path) -> Iterator[None]:
+    """Our inference module in its process, configured and active."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    settings = ModuleSettings(
+        kind="inference",
+        node_name="inference",
+        config=parse_config(CONFIGURATION),
+        state_directory=str(scratch),
+    )
+    with (scratch / "inference.log").open("ab") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "roboneuron.modules"],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+    assert process.stdin is not None
+    try:
+        process.stdin.write(settings.model_dump_json().encode() + b"\n")
+        process.stdin.flush()
+        client = camera.node.create_client(ChangeState, "/bench/inference/change_state")
+        if not client.wait_for_service(30):
+            sys.exit(f"the inference process did not come up:\n{(scratch / 'inference.log').read_text()}")
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            if not client.call(ChangeState.Request(transition=Transition(id=transition))).success:
+                sys.exit(f"the inference process refused:\n{(scratch / 'inference.log').read_text()}")
+        yield
+    finally:
+        process.stdin.close()
+        process.wait(10)
+
+
+def measure(frames: int, rounds: int, scratch: Path) -> Table:
+    """Run both, in turns, for every size."""
+    site = scratch / "site"
+    info = site / "loop_plugin-1.0.dist-info"
+    info.mkdir(parents=True)
+    shutil.copy(HERE / "loop_plugin.py", site)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loop-plugin\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\nloop-plugin = loop_plugin\n")
+    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    prepare_environment(scratch / "log")
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    camera = Camera()
+    try:
+        return compare(camera, environment, scratch, frames=frames, rounds=rounds)
+    finally:
+        camera.close()
+
+
+def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frames: int, rounds: int) -> Table:
+    """The table of both processes, in turns, for every size."""
+    found: dict[tuple[str, str], list[np.ndarray]] = {}
+    oldest_s: dict[tuple[str, str], float] = {}
+    for _ in range(rounds):
+        for name in ("relay", "inference"):
+            peer = relay(environment) if name == "relay" else inference(environment, camera, scratch)
+            with peer:
+                camera.wait_for_peer()
+                for size, (height, width) in SIZES.items():
+                    latencies, oldest, _ = camera.run(height, width, frames)
+                    found.setdefault((size, name), []).append(latencies)
+                    oldest_s[size, name] = max(oldest, oldest_s.get((size, name), 0.0))
+            while camera.node.count_publishers("/bench/action"):
+                time.sleep(0.02)
+    table = Table(
+        title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} frames in turns"
+    )
+    for column in ("size", "process", "answers", "median ms", "p99 ms", "median ratio", "p99 ratio", "oldest frame ms"):
+        table.add_column(column, justify="right")
+    for size in SIZES:
+        floor = np.percentile(np.concatenate(found[size, "relay"]), [50, 99])
+        for name in ("relay", "inference"):
+            values = np.concatenate(found[size, name])
+            median, p99 = np.percentile(values, [50, 99])
+            table.add_row(
+                size,
+                {"relay": "bare rclpy relay", "inference": "RoboNeuron"}[name],
+                f"{values.size}/{rounds * frames}",
+                f"{median * 1e3:.2f}",
+                f"{p99 * 1e3:.2f}",
+                f"{median / floor[0]:.2f}",
+                f"{p99 / floor[1]:.2f}",
+                f"{oldest_s[size, name] * 1e3:.1f}",
+            )
+    return table
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--rounds", type=int, default=3)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as directory:
+        table = measure(arguments.frames, arguments.rounds, Path(directory))
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main()
