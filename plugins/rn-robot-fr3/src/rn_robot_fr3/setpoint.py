@@ -60,9 +60,10 @@ class JointSetpoint:
         wanted = distance / np.maximum(self._remaining_s, step_s)
         wanted = np.sign(gap) * np.minimum(np.minimum(wanted, self._velocity_limit), braking)
         change = self._acceleration_limit * step_s
+        was_slow = np.abs(self.velocity) <= change
         self.velocity += np.clip(wanted - self.velocity, -change, change)
         self.position += self.velocity * step_s
-        arrived = (np.abs(self.target - self.position) < _ARRIVED) & (np.abs(self.velocity) <= change)
+        arrived = was_slow & (np.abs(self.target - self.position) < _ARRIVED)
         self.position[arrived] = self.target[arrived]
         self.velocity[arrived] = 0.0
         self._remaining_s = np.maximum(self._remaining_s - step_s, 0.0)

@@ -169,7 +169,7 @@ class Simulation:
 
     def gripper_open(self) -> float:
         """Measured opening, 0 closed .. 1 open."""
-        return float(np.clip(self.joint_positions()[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
+        return opening(self.joint_positions())
 
     def cubes(self) -> dict[str, CubeState]:
         """Where each cube is, by name: ground truth, for judging and tests only, never for a policy."""
@@ -187,6 +187,11 @@ class Simulation:
         if camera not in self._cameras:
             raise InvalidInputError(f"Camera {camera!r} is not known, expected one of {', '.join(self._cameras)}.")
         return self.world.render(self._cameras[camera].calibration(width, height), width, height)
+
+
+def opening(position: F64) -> float:
+    """Gripper opening, 0 closed .. 1 open, for joint positions (9,) in the order of `world.JOINTS`."""
+    return float(np.clip(position[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
 
 
 def _checked(names: Sequence[str], position: ArrayLike, duration_s: float) -> F64:

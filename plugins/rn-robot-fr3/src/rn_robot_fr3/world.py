@@ -124,7 +124,11 @@ class World:
         client = self.client
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=step_s, numSolverIterations=100, deterministicOverlappingPairs=1, physicsClientId=client
+            fixedTimeStep=step_s,
+            numSolverIterations=60,
+            solverResidualThreshold=1e-5,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
         )
         left, right = self.joint_indices[-2:]
         for index in (left, right):

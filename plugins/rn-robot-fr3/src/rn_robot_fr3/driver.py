@@ -1,0 +1,195 @@
+"""The driver `simulated`: runs the simulation in real time in a thread of its own."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray
+
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.pace import Pace
+from rn_robot_fr3.simulation import STEP_S, Simulation, opening
+from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_robot_fr3.world import JOINTS
+from roboneuron.contract import JointCommand, JointSample, RobotProfile, RobotState, Topics
+from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError, UnsafeError
+
+_START_TIMEOUT_S = 30.0
+_STOP_TIMEOUT_S = 10.0
+
+
+class SimulatedDriver:
+    """Follows the protocol `RobotDriver`; every method may be called from any thread.
+
+    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic `sim/state`, from which
+    `SimulatedCameras` draws its pictures in another process: no picture delays a step.
+    """
+
+    def __init__(self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        """Remember what to simulate."""
+        self._options = config or SimulatedDriverOptions()
+        self._profile = profile
+        self._topics = topics
+        self._publish: Callable[[Float64MultiArray], None] | None = None
+        self._simulation = Simulation(self._options.seed, colours=self._options.colours, gui=self._options.gui)
+        self._stepping = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._started = threading.Event()
+        self._stop = threading.Event()
+        self._state: RobotState | None = None
+        self._detail: dict[str, str] = {}
+        self._failure: Exception | None = None
+
+    def open(self) -> None:
+        """Build the scene and let time run; the robot stands at home with an open gripper.
+
+        Raises:
+            ConfigurationError: a window is asked for and there is no display, or the profile is another robot's.
+            NotReadyError: the simulation did not start in time.
+            StateError: it is open already.
+        """
+        if self._thread is not None:
+            raise StateError("The simulated FR3 is open already.")
+        if self._profile.arm_joints != ARM_JOINTS:
+            raise ConfigurationError(
+                f"The simulated FR3 moves {', '.join(ARM_JOINTS)}, the profile {self._profile.name!r} has others."
+            )
+        if self._publish is None:
+            self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
+        self._started.clear()
+        self._stop.clear()
+        self._failure = None
+        self._thread = threading.Thread(target=self._run, name="fr3-simulation", daemon=True)
+        self._thread.start()
+        if not self._started.wait(_START_TIMEOUT_S):
+            self.close()
+            raise NotReadyError(f"The simulated FR3 did not start within {_START_TIMEOUT_S:g} s.")
+        self._check_started()
+
+    def read(self) -> RobotState:
+        """Return the newest state, at most a few milliseconds old; see `RobotState.detail` for the cubes.
+
+        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the simulator's truth),
+        "sim_time_s", "real_time_factor" (achieved during the last second) and "seed".
+
+        Raises:
+            StateError: not open.
+            UnsafeError: the simulation failed while running.
+        """
+        self._check_running()
+        state = self._state
+        if state is None:
+            raise StateError("The simulated FR3 is not open.")
+        return state
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Move towards `command`; it replaces the one before, without a jump in position or velocity.
+
+        Returns:
+            The command with positions clamped to the limits and the duration that velocity and acceleration allow.
+
+        Raises:
+            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0; nothing is sent.
+            StateError, UnsafeError: as `read`.
+        """
+        self._check_running()
+        with self._stepping:
+            sent = self._simulation.set_target(command.names, command.position, command.duration_s)
+        return replace(command, position=sent.position, duration_s=sent.duration_s)
+
+    def hold(self) -> None:
+        """Brake the arm to a standstill; the gripper keeps its grasp. Raises as `read`."""
+        self._check_running()
+        with self._stepping:
+            self._simulation.hold()
+
+    def close(self) -> None:
+        """End the simulation; may be called twice and before `open`."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(_STOP_TIMEOUT_S)
+            self._thread = None
+        self._state = None
+
+    def _check_started(self) -> None:
+        failure = self._failure
+        if failure is None:
+            return
+        self.close()
+        if isinstance(failure, RoboNeuronError):
+            raise failure
+        raise NotReadyError(f"The simulated FR3 did not start: {failure}.") from failure
+
+    def _check_running(self) -> None:
+        if self._thread is None:
+            raise StateError("The simulated FR3 is not open.")
+        if self._failure is not None:
+            raise UnsafeError(f"The simulation stopped: {self._failure}.", hint="Stop and start the robot.")
+
+    def _run(self) -> None:
+        try:
+            with self._simulation:
+                self._advance(0, 0.0, publish=True)
+                self._started.set()
+                self._keep_pace()
+        except Exception as error:  # the thread's border: open(), read(), send() and hold() raise it
+            self._failure = error
+            self._started.set()
+
+    def _keep_pace(self) -> None:
+        pace = Pace(step_s=STEP_S, factor=self._options.real_time_factor)
+        period_s = 1.0 / self._options.state_rate_hz
+        published_s = time.monotonic()
+        while not self._stop.is_set():
+            steps = pace.due_steps(time.monotonic())
+            if steps == 0:
+                self._stop.wait(pace.until_next_s(time.monotonic()))
+                continue
+            now_s = time.monotonic()
+            is_due = now_s - published_s >= period_s
+            if is_due:
+                published_s = max(published_s + period_s, now_s - period_s)
+            self._advance(steps, pace.achieved_factor, publish=is_due)
+
+    def _advance(self, steps: int, factor: float, *, publish: bool) -> None:
+        simulation = self._simulation
+        with self._stepping:
+            simulation.step(steps)
+            position, velocity = simulation.joint_states()
+            cubes = simulation.cubes() if publish else None
+        stamp_ns = self._topics.now_ns()
+        if cubes is not None and self._publish is not None:
+            poses = [np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()]
+            state = SceneState(
+                seed=simulation.seed,
+                cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
+                joints=position,
+                cube_poses=np.array(poses),
+                stamp_ns=stamp_ns,
+            )
+            self._publish(to_message(state))
+            facts = {
+                name: {
+                    "position_m": [round(float(value), 4) for value in cube.position_m],
+                    "lifted_m": round(cube.lifted_m, 4),
+                    "held_s": round(cube.held_s, 3),
+                }
+                for name, cube in cubes.items()
+            }
+            self._detail = {
+                "cubes": json.dumps(facts, separators=(",", ":")),
+                "sim_time_s": f"{simulation.time_s:.3f}",
+                "real_time_factor": f"{factor:.3f}",
+                "seed": str(simulation.seed),
+            }
+        self._state = RobotState(
+            joints=JointSample(names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns),
+            gripper_open=opening(position),
+            detail=self._detail,
+        )

@@ -1,0 +1,45 @@
+"""A render twin: a second world without physics that shows what the simulation in another process looks like."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_fr3.scene import Cube
+from rn_robot_fr3.state_message import SceneState
+from rn_robot_fr3.world import World
+from roboneuron.contract import CameraCalibration
+from roboneuron.errors import StateError
+
+
+class RenderTwin:
+    """Draws states of the simulation; used from one thread at a time."""
+
+    def __init__(self) -> None:
+        """Does nothing yet; the world is built from the first state."""
+        self._world: World | None = None
+        self._scene: tuple[int, tuple[tuple[str, float], ...]] | None = None
+
+    def show(self, state: SceneState) -> None:
+        """Put everything where `state` says; builds another world when the scene is another one (about 50 ms)."""
+        scene = (state.seed, state.cubes)
+        if self._world is None or scene != self._scene:
+            self.close()
+            cubes = [Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0) for name, edge_m in state.cubes]
+            self._world = World(cubes)
+            self._scene = scene
+        self._world.set_joints(state.joints.tolist())
+        for (name, _), pose in zip(state.cubes, state.cube_poses.tolist(), strict=True):
+            self._world.set_body_pose(self._world.cube_bodies[name], pose[:3], pose[3:])
+
+    def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
+        """What a camera sees of the state last shown: uint8 (height, width, 3) RGB. Raises StateError before it."""
+        if self._world is None:
+            raise StateError("The render twin has not been shown any state yet.")
+        return self._world.render(calibration, width, height)
+
+    def close(self) -> None:
+        """Release the world; may be called twice, and `show` may follow."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None

@@ -1,0 +1,64 @@
+"""The physics really grasps: a scripted pick with the simulator's own truth (no policy may use it)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
+from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_robot_fr3.simulation import STEP_S, Simulation
+
+
+def solve(target: pin.SE3, seed_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Joint positions (7,) that put the TCP at `target`: damped least squares from `seed_rad`."""
+    model = pin.buildReducedModel(pin.buildModelFromXML(profile().urdf), [8, 9], np.zeros(9))
+    data, frame, q = model.createData(), model.getFrameId(profile().tcp_link), seed_rad.copy()
+    for _ in range(200):
+        pin.framesForwardKinematics(model, data, q)
+        error = pin.log6(data.oMf[frame].actInv(target)).vector
+        if np.linalg.norm(error) < 1e-6:
+            return q
+        jacobian = pin.computeFrameJacobian(model, data, q, frame)
+        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(6), error)
+        q = np.clip(q + 0.7 * step, model.lowerPositionLimit, model.upperPositionLimit)
+    raise AssertionError(f"no posture reaches {target}")
+
+
+@pytest.mark.parametrize(("seed", "colour"), [(0, "red"), (1, "blue")])
+def test_scripted_pick_lifts_the_cube_and_only_that(seed: int, colour: str) -> None:
+    with Simulation(seed) as simulation:
+        cube, q = simulation.cubes()[colour], np.array(HOME_RAD)
+        x, y = cube.position_m[:2]
+        yaw = 2.0 * np.arctan2(cube.quaternion_xyzw[2], cube.quaternion_xyzw[3])
+        down = np.array([[np.cos(yaw), np.sin(yaw), 0], [np.sin(yaw), -np.cos(yaw), 0], [0, 0, -1]])
+
+        def move(z: float, duration_s: float) -> None:
+            nonlocal q
+            q = solve(pin.SE3(down, np.array([x, y, z])), q)
+            simulation.set_target(ARM_JOINTS, q, duration_s)
+            simulation.step(round((duration_s + 0.3) / STEP_S))
+            # The motors hold the arm's weight within a millimetre.
+            np.testing.assert_allclose(simulation.tcp_pose().position_m, [x, y, z], atol=1e-3)
+
+        move(0.15, 1.2)
+        move(0.02, 0.8)
+        simulation.set_target([FINGER_JOINT], [0.0], 0.5)
+        simulation.step(200)
+        # The fingers stop at the cube: the gripper measures its edge.
+        assert simulation.joint_positions()[7:].sum() == pytest.approx(cube.edge_m, abs=1e-3)
+        move(0.25, 1.0)
+        simulation.step(round(1.2 / STEP_S))
+        lifted = simulation.cubes()
+        assert lifted[colour].lifted_m > 0.2
+        assert lifted[colour].held_s >= 1.0
+        assert all(other.lifted_m < 0.01 and other.held_s == 0.0 for name, other in lifted.items() if name != colour)
+
+        simulation.hold()
+        simulation.step(60)
+        assert simulation.cubes()[colour].lifted_m > 0.2
+        simulation.set_target([FINGER_JOINT], [0.04], 0.2)
+        simulation.step(240)
+        assert simulation.cubes()[colour].held_s == 0.0

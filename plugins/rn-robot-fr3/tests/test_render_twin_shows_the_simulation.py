@@ -1,0 +1,149 @@
+"""The cameras in their own process see what the physics sees, when it is there and as often as asked."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from rn_robot_fr3.camera_source import SimulatedCameras
+from rn_robot_fr3.cameras import cameras
+from rn_robot_fr3.limits import FINGER_JOINT
+from rn_robot_fr3.options import SimulatedCamerasOptions
+from rn_robot_fr3.profile import profile
+from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from roboneuron.contract import CameraProfile
+from roboneuron.errors import ConfigurationError, NotReadyError, StateError
+from roboneuron.testing.fakes import MemoryTopics
+
+Open = Callable[..., SimulatedCameras]
+
+
+def state_of(simulation: Simulation, stamp_ns: int) -> SceneState:
+    cubes = simulation.cubes()
+    return SceneState(
+        seed=simulation.seed,
+        cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
+        joints=simulation.joint_positions(),
+        cube_poses=np.array([np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()]),
+        stamp_ns=stamp_ns,
+    )
+
+
+@pytest.fixture
+def topics() -> MemoryTopics:
+    return MemoryTopics()
+
+
+@pytest.fixture
+def opened(topics: MemoryTopics) -> Iterator[Open]:
+    made = []
+
+    def make(*, names: tuple[str, ...] = ("front", "wrist"), **options: float) -> SimulatedCameras:
+        chosen = tuple(camera for camera in profile().cameras if camera.name in names)
+        source = SimulatedCameras(SimulatedCamerasOptions.model_validate(options), topics, chosen)
+        source.open()
+        made.append(source)
+        return source
+
+    yield make
+    for source in made:
+        source.close()
+
+
+def test_twin_draws_the_same_pixels_as_the_physics(topics: MemoryTopics, opened: Open) -> None:
+    source = opened(rate_hz=60)
+    for seed in (0, 1):  # the second is a driver that was started again with another scene
+        with Simulation(seed) as simulation:
+            simulation.set_target(["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3)
+            simulation.step(120)
+            topics.deliver(TOPIC, to_message(state_of(simulation, 1000 + seed)))
+            for _ in cameras():
+                frame = source.read(10.0)
+                wanted = simulation.render(frame.camera).astype(float)
+                # Equal but for a few pixels at edges, where a last bit of a joint angle decides.
+                assert np.abs(frame.image - wanted).mean() < 0.05
+                assert frame.stamp_ns == 1000 + seed
+                assert frame.calibration is not None
+
+
+def test_cameras_take_turns_and_show_the_newest_state(topics: MemoryTopics, opened: Open) -> None:
+    source = opened(rate_hz=60)
+    with Simulation(0, colours=("red",)) as simulation:
+        seen = []
+        for index in range(4):
+            topics.deliver(TOPIC, to_message(state_of(simulation, 10 * index + 1)))
+            topics.deliver(TOPIC, to_message(state_of(simulation, 10 * index + 2)))
+            frame = source.read(10.0)
+            seen.append((frame.camera, frame.stamp_ns, frame.frame_id))
+    assert seen == [
+        ("front", 2, "front_camera_optical_frame"),
+        ("wrist", 12, "wrist_camera_optical_frame"),
+        ("front", 22, "front_camera_optical_frame"),
+        ("wrist", 32, "wrist_camera_optical_frame"),
+    ]
+
+
+def test_camera_without_a_simulation_names_the_missing_topic(opened: Open) -> None:
+    with pytest.raises(NotReadyError, match="sim/state"):
+        opened().read(0.05)
+
+
+def test_frames_stop_when_the_simulation_stops(topics: MemoryTopics, opened: Open) -> None:
+    source = opened(names=("front",), rate_hz=60)
+    with Simulation(0, colours=("red",)) as simulation:
+        topics.deliver(TOPIC, to_message(state_of(simulation, 1)))
+    source.read(10.0)
+    with pytest.raises(NotReadyError, match="sim/state"):
+        source.read(0.05)
+
+
+def test_frames_come_no_faster_than_the_rate(topics: MemoryTopics, opened: Open) -> None:
+    source = opened(names=("front",), rate_hz=20, width=32, height=32)
+    with Simulation(0, colours=("red",)) as simulation:
+        message = to_message(state_of(simulation, 1))
+    times = []
+    for _ in range(6):
+        topics.deliver(TOPIC, message)
+        source.read(10.0)
+        times.append(time.monotonic())
+    # One interval less: the first frame may be late by up to a slot.
+    assert times[-1] - times[0] >= 3.9 / 20
+
+
+def test_size_is_an_option_and_the_calibration_follows(topics: MemoryTopics, opened: Open) -> None:
+    source = opened(names=("wrist",), width=64, height=48)
+    with Simulation(0, colours=("red",)) as simulation:
+        topics.deliver(TOPIC, to_message(state_of(simulation, 1)))
+    frame = source.read(10.0)
+    assert frame.image.shape == (48, 64, 3)
+    assert frame.calibration is not None
+    np.testing.assert_allclose(frame.calibration.intrinsics[:2, 2], [32, 24])
+
+
+def test_unknown_camera_is_refused_by_name(topics: MemoryTopics) -> None:
+    stranger = CameraProfile(name="left", role="primary", frame_id="left_optical", width=8, height=8)
+    with pytest.raises(ConfigurationError, match="left"):
+        SimulatedCameras(None, topics, (stranger,)).open()
+
+
+def test_close_ends_a_waiting_read(topics: MemoryTopics, opened: Open) -> None:
+    source = opened()
+    failures: list[Exception] = []
+
+    def read() -> None:
+        try:
+            source.read(30.0)
+        except StateError as error:
+            failures.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    source.close()
+    reader.join(10.0)
+    assert not reader.is_alive()
+    assert len(failures) == 1
