@@ -15,6 +15,7 @@ from roboneuron.modules.status import ModuleStatus
 from roboneuron.ros.messages import frame_from_message, joints_from_message, pose_from_message
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
 
+_HAND_OVER_S = 1e-5
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
@@ -65,6 +66,9 @@ class NewestInputs:
             with self._fresh:
                 self._frames[role] = frame
                 self._fresh.notify()
+            # Give the interpreter lock to the waiting inference thread now: otherwise it waits until the executor has
+            # rebuilt its wait set, which takes longer than everything else between image and action.
+            time.sleep(_HAND_OVER_S)
 
         return on_image
 

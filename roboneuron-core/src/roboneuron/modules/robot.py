@@ -31,7 +31,7 @@ class RobotModule(Module):
 
     def __init__(self, node: ModuleNode) -> None:
         super().__init__(node)
-        self._topics = NodeTopics(node)
+        self._topics = NodeTopics(node, accepts=lambda: self._active and not node.stopped)
         self._driver: RobotDriver | None = None
         self._states: LifecyclePublisher | None = None
         self._subscriptions: list[object] = []

@@ -13,10 +13,15 @@ M = TypeVar("M")
 
 
 class NodeTopics:
-    """Implements `roboneuron.contract.Topics` on a node; `close` takes everything back."""
+    """Implements `roboneuron.contract.Topics` on a node; `close` takes everything back.
 
-    def __init__(self, node: Node) -> None:
+    `accepts` is asked before each message is delivered: a robot's driver hears nothing while the emergency stop is
+    latched or its module is not active.
+    """
+
+    def __init__(self, node: Node, accepts: Callable[[], bool] = lambda: True) -> None:
         self._node = node
+        self._accepts = accepts
         self._subscriptions: list[object] = []
         self._publishers: list[object] = []
 
@@ -24,7 +29,8 @@ class NodeTopics:
         """See `Topics.subscribe`."""
 
         def deliver(message: M) -> None:
-            callback(message)
+            if self._accepts():
+                callback(message)
 
         self._subscriptions.append(self._node.create_subscription(message_type, topic, deliver, NEWEST))
 
