@@ -8,8 +8,9 @@ from dataclasses import dataclass
 Plain = bool | int | float | str | list["Plain"] | dict[str, "Plain"] | None
 """A value as JSON knows it."""
 
-FLOAT32_MAX = 3.4028234663852886e38
-"""Largest finite float32. Source: IEEE 754 binary32, (2 - 2**-23) * 2**127."""
+FLOAT32_MAX = 3.4028235e38
+"""Largest number a float32 field takes: the shortest decimal that rounds to the largest finite float32,
+(2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that what is decoded can be encoded again."""
 
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
     **{f"int{bits}": (-(1 << bits - 1), (1 << bits - 1) - 1) for bits in (8, 16, 32, 64)},

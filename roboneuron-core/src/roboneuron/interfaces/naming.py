@@ -92,15 +92,13 @@ def parse_interface_name(text: str) -> tuple[InterfaceName, ...]:
         ConfigurationError: `text` is not written like an interface name.
     """
     parts = text.split("/") if isinstance(text, str) else []
-    if len(parts) == 2:
-        parts.insert(1, "")
-    if len(parts) != 3 or not (_PACKAGE.match(parts[0]) and parts[1] in ("", *KINDS) and _NAME.match(parts[2])):
+    kinds = (parts.pop(1),) if len(parts) == 3 else KINDS
+    if len(parts) != 2 or not set(kinds) <= set(KINDS) or not (_PACKAGE.match(parts[0]) and _NAME.match(parts[1])):
         raise ConfigurationError(
             f"{str(text)[:120]!r} is not the name of an interface.",
             hint="Write it as package/msg/Name, package/srv/Name or package/action/Name.",
         )
-    package, kind, name = parts
-    return tuple(InterfaceName(package, k, name) for k in ((kind,) if kind else KINDS))
+    return tuple(InterfaceName(parts[0], kind, parts[1]) for kind in kinds)
 
 
 def unknown_interface(text: str, known: Sequence[InterfaceName]) -> ConfigurationError:
