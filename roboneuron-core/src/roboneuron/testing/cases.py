@@ -1,0 +1,281 @@
+"""Cases: a descriptor, options it can run with, and what the rules of its kind need to try it.
+
+A case is what a contract class's one fixture returns and what a descriptor's `case` function returns. Everything but
+`spec` has a default that suffices for a plugin that works with synthetic input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, TypeVar, cast
+
+from roboneuron.contract import (
+    Acceleration,
+    Backend,
+    CameraProfile,
+    Controller,
+    Observation,
+    PerceptionSource,
+    RobotDriver,
+    RobotProfile,
+    Runtime,
+)
+from roboneuron.plugins.loading import load_options, load_target
+from roboneuron.plugins.specs import (
+    AccelerationSpec,
+    BackendSpec,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSpec,
+    RobotSpec,
+    RuntimeSpec,
+    Spec,
+)
+from roboneuron.testing.fakes import MemoryTopics, gantry_profile, make_observation
+from roboneuron.testing.rule import NotApplicable, Violation
+
+S = TypeVar("S", bound=Spec)
+P = TypeVar("P")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case(Generic[S]):
+    """What every case has.
+
+    Attributes:
+        spec: the descriptor under test.
+        options: as a user would set them under `[plugins.<name>]`.
+        is_automatic: made without the author's help (`roboneuron plugins check` on a plugin without `case`): then what
+            cannot be started for want of options, hardware or weights is skipped with the reason instead of failing.
+    """
+
+    subject: ClassVar[str] = ""
+    """First half of the ids of the rules that apply."""
+
+    spec: S
+    options: Mapping[str, object] = field(default_factory=dict)
+    is_automatic: bool = False
+
+    def configuration(self) -> object:
+        """The validated options, or None when the descriptor takes none."""
+        return load_options(self.spec, self.options)
+
+    def _target(self, spec: Spec | DriverSpec) -> Callable[..., Any]:
+        target = load_target(spec)
+        if not callable(target):
+            raise Violation(f"`target` names {target!r}, expected a class or function")
+        return target
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """Positional and keyword arguments that `target` is called with, apart from real values."""
+        return (None,), {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackendCase(Case[BackendSpec]):
+    """A backend to try.
+
+    Attributes:
+        observe: makes an observation that the backend can act on; a synthetic one when None. It is cut down to what the
+            descriptor declares before use.
+        runtime, acceleration: make what the backend is to be built with; None for without.
+    """
+
+    subject: ClassVar[str] = "backend"
+
+    observe: Callable[[], Observation] | None = None
+    runtime: Callable[[], Runtime] | None = None
+    acceleration: Callable[[], Acceleration] | None = None
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """As the inference module calls it."""
+        return (None,), {"runtime": None, "acceleration": None}
+
+    def build(self) -> Backend:
+        """A new backend, not loaded."""
+        runtime = None if self.runtime is None else self.runtime()
+        acceleration = None if self.acceleration is None else self.acceleration()
+        made = self._target(self.spec)(self.configuration(), runtime=runtime, acceleration=acceleration)
+        return cast(Backend, made)
+
+    def observation(self) -> Observation:
+        """What the backend sees: required roles only, state only when declared."""
+        whole = make_observation(self.spec) if self.observe is None else self.observe()
+        frames = {role: frame for role, frame in whole.frames.items() if role in self.spec.cameras}
+        if self.spec.needs_state:
+            return replace(whole, frames=frames)
+        return replace(whole, frames=frames, joints=None, ee_pose=None, gripper_open=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuntimeCase(Case[RuntimeSpec]):
+    """A runtime to try; what a model and a request look like is agreed per model family.
+
+    Attributes:
+        model: makes what `load` takes; None when there is none to try.
+        request: makes what `run` takes; None likewise.
+        bad_request: makes a request that must be refused; None likewise.
+        acceleration: makes a preset that `load` must accept; None likewise.
+    """
+
+    subject: ClassVar[str] = "runtime"
+
+    model: Callable[[], object] | None = None
+    request: Callable[[], object] | None = None
+    bad_request: Callable[[], object] | None = None
+    acceleration: Callable[[], Acceleration] | None = None
+
+    def build(self) -> Runtime:
+        """A new runtime, not loaded."""
+        return cast(Runtime, self._target(self.spec)(self.configuration()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccelerationCase(Case[AccelerationSpec]):
+    """An acceleration to try.
+
+    Attributes:
+        decoder: makes a decoder that has the capability; None when there is none to try.
+    """
+
+    subject: ClassVar[str] = "acceleration"
+
+    decoder: Callable[[], object] | None = None
+
+    def build(self) -> Acceleration:
+        """A new preset."""
+        return cast(Acceleration, self._target(self.spec)(self.configuration()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionCase(Case[PerceptionSpec]):
+    """A source of frames to try.
+
+    Attributes:
+        cameras: makes the profiles to serve; the fake robot's when None.
+        feed: makes a frame arrive, called before each read with the open source and its topics; None when frames come
+            by themselves.
+        timeout_s: bound on waiting for one frame [s].
+    """
+
+    subject: ClassVar[str] = "perception"
+
+    cameras: Callable[[], tuple[CameraProfile, ...]] | None = None
+    feed: Callable[[Any, MemoryTopics], None] | None = None
+    timeout_s: float = 10.0
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """As the perception module calls it."""
+        return (None, MemoryTopics(), ()), {}
+
+    def profiles(self) -> tuple[CameraProfile, ...]:
+        """The cameras to serve."""
+        return gantry_profile().cameras if self.cameras is None else self.cameras()
+
+    def build(self, topics: MemoryTopics) -> PerceptionSource:
+        """A new source, not open."""
+        return cast(PerceptionSource, self._target(self.spec)(self.configuration(), topics, self.profiles()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerCase(Case[ControllerSpec]):
+    """A controller to try.
+
+    Attributes:
+        profile: makes the profile of an arm to move; the fake robot's when None.
+    """
+
+    subject: ClassVar[str] = "controller"
+
+    profile: Callable[[], RobotProfile] | None = None
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """As the control module calls it."""
+        return (None, gantry_profile()), {}
+
+    def robot(self) -> RobotProfile:
+        """The arm to move."""
+        profile = gantry_profile() if self.profile is None else self.profile()
+        if "arm" not in self.spec.robot_kinds:
+            raise NotApplicable("the controller moves no arms")
+        return profile
+
+    def build(self) -> Controller:
+        """A new controller, not loaded."""
+        return cast(Controller, self._target(self.spec)(self.configuration(), self.robot()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotCase(Case[RobotSpec]):
+    """A robot to try, with one of its drivers.
+
+    Attributes:
+        driver: name of the driver that the rules may open and *move*; None to leave all of them alone.
+        driver_options: its options.
+        step: how far the rules move one joint [rad or m].
+        settle_s: bound on the time such a move takes [s].
+        tolerance: how near the driver must come [rad or m].
+    """
+
+    subject: ClassVar[str] = "robot"
+
+    driver: str | None = "simulated"
+    driver_options: Mapping[str, object] = field(default_factory=dict)
+    step: float = 0.02
+    settle_s: float = 5.0
+    tolerance: float = 0.005
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """The profile's function takes none."""
+        return (), {}
+
+    def profile(self) -> RobotProfile:
+        """What `target` returns."""
+        profile = self._target(self.spec)()
+        if not isinstance(profile, RobotProfile):
+            raise Violation(f"`target` returned {type(profile).__name__}, expected a RobotProfile")
+        return profile
+
+    def driver_spec(self) -> DriverSpec:
+        """The driver to try; raises NotApplicable when there is none."""
+        if self.driver is None:
+            raise NotApplicable("no driver may be moved by this case")
+        spec = self.spec.driver(self.driver)
+        if spec is None and self.is_automatic:
+            raise NotApplicable(f"there is no driver {self.driver!r} to try")
+        if spec is None:
+            raise Violation(f"the case names the driver {self.driver!r}, which the descriptor lacks")
+        return spec
+
+    def build(self, topics: MemoryTopics) -> RobotDriver:
+        """A new driver, not open."""
+        spec = self.driver_spec()
+        options = load_options(spec, self.driver_options)
+        return cast(RobotDriver, self._target(spec)(options, self.profile(), topics))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackageCase:
+    """An installed distribution to examine.
+
+    Attributes:
+        distribution: its name.
+        path: where its metadata are found; the interpreter's own path when empty.
+    """
+
+    subject: ClassVar[str] = "package"
+
+    distribution: str
+    path: tuple[str, ...] = ()
+
+
+CASES: dict[str, type[Case[Any]]] = {
+    "backend": BackendCase,
+    "runtime": RuntimeCase,
+    "acceleration": AccelerationCase,
+    "perception": PerceptionCase,
+    "controller": ControllerCase,
+    "robot": RobotCase,
+}
+"""Case class by descriptor kind."""

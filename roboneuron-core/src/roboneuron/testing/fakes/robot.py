@@ -1,0 +1,180 @@
+"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges, and its driver."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron.contract import (
+    CameraProfile,
+    Endpoint,
+    GripperProfile,
+    JointCommand,
+    JointLimits,
+    JointSample,
+    RobotProfile,
+    RobotState,
+    Topics,
+    Workspace,
+)
+from roboneuron.errors import InvalidInputError, StateError
+from roboneuron.plugins.specs import CameraSpec, DriverSpec, RobotSpec
+
+SLIDES = ("slide_x", "slide_y", "slide_z")
+"""Prismatic joints, base to tip, along the axes of the base frame."""
+HINGES = ("yaw", "pitch", "roll")
+"""Revolute joints after the slides, about z, y and x."""
+FINGER = "finger"
+"""The gripper's joint: 0 m closed, 0.04 m open."""
+
+_AXES = {"slide_x": "1 0 0", "slide_y": "0 1 0", "slide_z": "0 0 1", "yaw": "0 0 1", "pitch": "0 1 0", "roll": "1 0 0"}
+_LOWER = np.array([-1.0, -1.0, -1.0, -3.0, -1.4, -3.0])
+_HOME = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.1])
+
+
+class FakeDriverOptions(BaseModel):
+    """Options of the fake driver."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    start_open: bool = Field(default=True, description="the gripper is open at first")
+
+
+def _urdf() -> str:
+    parts = ['<robot name="gantry"><link name="base"/>']
+    parent = "base"
+    for index, (joint, axis) in enumerate(_AXES.items()):
+        child = "tcp" if joint == HINGES[-1] else f"{joint}_link"
+        kind = "prismatic" if joint in SLIDES else "revolute"
+        bound = -_LOWER[index]
+        inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+        parts.append(f'<link name="{child}"><inertial><mass value="1"/>{inertia}</inertial></link>')
+        parts.append(
+            f'<joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0 0 0" rpy="0 0 0"/><axis xyz="{axis}"/>'
+            f'<limit lower="{-bound}" upper="{bound}" velocity="1" effort="100"/></joint>'
+        )
+        parent = child
+    parts.append(
+        f'<link name="finger_link"/><joint name="{FINGER}" type="prismatic"><parent link="tcp"/>'
+        '<child link="finger_link"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="0.04" velocity="0.1" effort="20"/></joint></robot>'
+    )
+    return "".join(parts)
+
+
+def gantry_profile() -> RobotProfile:
+    """The fake robot's profile: six joints whose TCP pose is their position, a gripper, two cameras."""
+    return RobotProfile(
+        name="gantry",
+        urdf=_urdf(),
+        base_link="base",
+        tcp_link="tcp",
+        arm_joints=(*SLIDES, *HINGES),
+        limits=JointLimits(
+            lower=_LOWER.copy(),
+            upper=-_LOWER,
+            velocity=np.ones(6),
+            acceleration=np.full(6, 5.0),
+            effort=np.full(6, 100.0),
+        ),
+        home_rad=_HOME.copy(),
+        gripper=GripperProfile(joint=FINGER, closed_position=0.0, open_position=0.04),
+        cameras=(
+            CameraProfile(name="front", role="primary", frame_id="front_optical", width=64, height=48),
+            CameraProfile(name="hand", role="wrist", frame_id="hand_optical", width=64, height=48),
+        ),
+        workspace=Workspace(lower_m=np.full(3, -0.9), upper_m=np.full(3, 0.9)),
+        endpoints=(
+            Endpoint(
+                name="joint_states",
+                kind="read",
+                topic="joint_states",
+                type="sensor_msgs/msg/JointState",
+                summary="Measured joints.",
+            ),
+        ),
+    )
+
+
+class FakeDriver:
+    """Follows the protocol `RobotDriver`; a command is reached at the next read."""
+
+    def __init__(self, config: FakeDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        self._options = config or FakeDriverOptions()
+        self._profile = profile
+        self._topics = topics
+        self._positions: dict[str, float] | None = None
+
+    def open(self) -> None:
+        """Stand at home."""
+        home = self._profile.home_rad
+        gripper = self._profile.gripper
+        assert home is not None
+        self._positions = dict(zip(self._profile.arm_joints, home.tolist(), strict=True))
+        if gripper is not None:
+            self._positions[gripper.joint] = gripper.to_position(float(self._options.start_open))
+
+    def _opened(self) -> dict[str, float]:
+        if self._positions is None:
+            raise StateError("The fake robot is not open; call open() first.")
+        return self._positions
+
+    def read(self) -> RobotState:
+        """The positions last sent; raises StateError unless open."""
+        positions = self._opened()
+        gripper = self._profile.gripper
+        return RobotState(
+            joints=JointSample(
+                names=tuple(positions),
+                position=np.array(list(positions.values())),
+                velocity=np.zeros(len(positions)),
+                stamp_ns=self._topics.now_ns(),
+            ),
+            gripper_open=None if gripper is None else gripper.to_opening(positions[gripper.joint]),
+        )
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Go there at once; raises InvalidInputError for unknown joints, NaN and positions outside the limits."""
+        positions = self._opened()
+        limits = self._profile.limits
+        assert limits is not None
+        if command.position.shape != (len(command.names),):
+            raise InvalidInputError(f"A command names {len(command.names)} joints, got {command.position.shape}.")
+        bounds = {
+            name: (float(low), float(high))
+            for name, low, high in zip(self._profile.arm_joints, limits.lower, limits.upper, strict=True)
+        }
+        for name, position in zip(command.names, command.position.tolist(), strict=True):
+            if name not in positions:
+                raise InvalidInputError(f"The robot has no joint {name!r}, expected some of {', '.join(positions)}.")
+            low, high = bounds.get(name, (0.0, 0.04))
+            if not low <= position <= high:
+                raise InvalidInputError(f"Joint {name!r} is sent to {position}, expected {low:g} .. {high:g}.")
+        positions.update(zip(command.names, command.position.tolist(), strict=True))
+        return command
+
+    def hold(self) -> None:
+        """Stay; the fake never moves by itself."""
+        self._opened()
+
+    def close(self) -> None:
+        """Forget where it stands."""
+        self._positions = None
+
+
+FAKE_ROBOT = RobotSpec(
+    name="gantry",
+    summary="A gantry with a wrist and a gripper that exists in memory.",
+    target="roboneuron.testing.fakes.robot:gantry_profile",
+    drivers=(
+        DriverSpec(
+            name="simulated",
+            summary="Reaches every command at once.",
+            target="roboneuron.testing.fakes.robot:FakeDriver",
+            config="roboneuron.testing.fakes.robot:FakeDriverOptions",
+        ),
+    ),
+    cameras=(CameraSpec(name="front", role="primary"), CameraSpec(name="hand", role="wrist")),
+)
+"""Descriptor of the fake robot."""

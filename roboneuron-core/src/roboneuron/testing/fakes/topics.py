@@ -1,0 +1,67 @@
+"""Topics without ROS: what a plugin publishes and subscribes to, in the memory of one process."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+M = TypeVar("M")
+
+
+class MemoryTopics:
+    """Follows the protocol `Topics`; messages are handed to subscribers at once, in the publisher's thread.
+
+    Args:
+        now_ns: clock for stamps; the system's wall clock when None.
+    """
+
+    def __init__(self, now_ns: Callable[[], int] | None = None) -> None:
+        self._now_ns = now_ns or time.time_ns
+        self._subscribers: defaultdict[str, list[Callable[[Any], None]]] = defaultdict(list)
+        self._advertised: list[str] = []
+        self._published: defaultdict[str, list[object]] = defaultdict(list)
+        self._lock = threading.Lock()
+
+    def subscribe(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> None:
+        """Call `callback` with every message published or delivered on `topic`."""
+        with self._lock:
+            self._subscribers[topic].append(callback)
+
+    def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
+        """Return a function that publishes on `topic`."""
+        with self._lock:
+            self._advertised.append(topic)
+
+        def publish(message: M) -> None:
+            if not isinstance(message, message_type):
+                raise TypeError(f"{topic} carries {message_type.__name__}, got {type(message).__name__}")
+            with self._lock:
+                self._published[topic].append(message)
+            self.deliver(topic, message)
+
+        return publish
+
+    def now_ns(self) -> int:
+        """The clock's time [ns]."""
+        return self._now_ns()
+
+    def deliver(self, topic: str, message: object) -> None:
+        """Hand `message` to the subscribers of `topic`, as another process would by publishing it."""
+        with self._lock:
+            subscribers = tuple(self._subscribers[topic])
+        for callback in subscribers:
+            callback(message)
+
+    def published(self, topic: str) -> tuple[object, ...]:
+        """Everything published on `topic` so far, oldest first."""
+        with self._lock:
+            return tuple(self._published[topic])
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Names of topics that were subscribed to or advertised."""
+        with self._lock:
+            return (*(t for t, callbacks in self._subscribers.items() if callbacks), *self._advertised)
