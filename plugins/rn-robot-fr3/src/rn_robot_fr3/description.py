@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import xml.etree.ElementTree as ET
 from importlib.resources import files
 
@@ -10,6 +11,7 @@ FLANGE_LINK = "fr3_link8"
 TCP_LINK = "fr3_hand_tcp"
 
 
+@functools.cache
 def urdf() -> str:
     """XML text of `data/fr3.urdf`: official kinematics and limits, shapes of cylinders and boxes, no mesh files."""
     return files("rn_robot_fr3").joinpath("data/fr3.urdf").read_text(encoding="utf-8")

@@ -1,0 +1,45 @@
+"""How the contract kit tries the robot and its cameras; loaded by the kit only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray
+
+from rn_robot_fr3.limits import FINGER_OPEN_M
+from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
+from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_robot_fr3.scene import random_cubes
+from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from roboneuron.testing.cases import PerceptionCase, RobotCase
+from roboneuron.testing.fakes import MemoryTopics
+
+
+def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
+    """What the simulation tells its cameras before anything has moved."""
+    cubes = random_cubes(seed)
+    poses = [(c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2)) for c in cubes]
+    return to_message(
+        SceneState(
+            seed=seed,
+            cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
+            joints=np.array([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M]),
+            cube_poses=np.array(poses),
+            stamp_ns=stamp_ns,
+        )
+    )
+
+
+def _feed(source: object, topics: MemoryTopics) -> None:
+    topics.deliver(TOPIC, state_at_home(0, topics.now_ns()))
+
+
+def robot_case() -> RobotCase:
+    """The robot with its simulated driver."""
+    return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
+
+
+def cameras_case() -> PerceptionCase:
+    """The simulated cameras, fed with the scene at rest."""
+    return PerceptionCase(spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=_feed)
