@@ -70,7 +70,7 @@ class Agent:
 def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
     """The part of `get_status` about one module, or an empty dict when it does not run."""
     for module in status.get("modules", ()):
-        if module.get("name") == name:
+        if module.get("module") == name:
             return dict(module)
     return {}
 
@@ -78,7 +78,7 @@ def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
 def simulated_objects(status: Mapping[str, Any]) -> list[SimulatedObject]:
     """What the simulator says of its objects; empty for a robot that reports none."""
     detail = module_status(status, "robot").get("detail") or {}
-    objects = json.loads(detail.get("objects", "{}"))
+    objects = json.loads(detail.get("cubes", "{}"))
     return [
         SimulatedObject(name=name, lifted_m=float(facts["lifted_m"]), held_s=float(facts["held_s"]))
         for name, facts in objects.items()

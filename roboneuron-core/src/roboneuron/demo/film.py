@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 from PIL import Image, ImageDraw
@@ -37,7 +38,7 @@ class Film:
         self._strip().save(strip)
         images = [image.resize((image.width * _SCALE, image.height * _SCALE)) for _, _, image in self.frames]
         times = [at_s for at_s, _, _ in self.frames]
-        gaps = [max(_SHORTEST_FRAME_MS, round(1000 * (b - a))) for a, b in zip(times, times[1:], strict=False)]
+        gaps = [max(_SHORTEST_FRAME_MS, round(1000 * (b - a))) for a, b in pairwise(times)]
         images[0].save(gif, save_all=True, append_images=images[1:], duration=[*gaps, 1500], loop=0, optimize=True)
         return strip, gif
 

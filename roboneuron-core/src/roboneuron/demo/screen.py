@@ -1,0 +1,107 @@
+"""What a person sees of the demo: steps with ticks, a live line per module, a final table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+LIFT_GOAL_M = 0.10
+HOLD_GOAL_S = 1.0
+_MODULES = ("robot", "perception", "control", "inference")
+
+
+class Screen:
+    """Writes to one console; nothing here talks to the robot."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+
+    def title(self, instruction: str, seed: int | None) -> None:
+        """Say what is going to happen."""
+        scene = "a random scene" if seed is None else f"scene {seed}"
+        self.console.print()
+        self.console.print(
+            Panel(
+                Text.assemble(("An agent asks a simulated robot to ", ""), (f"{instruction}", "bold"), f"  ({scene})"),
+                title="[bold]RoboNeuron[/bold]",
+                border_style="cyan",
+                expand=False,
+            )
+        )
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[list[str]]:
+        """Show a spinner while the block runs, then a tick and what it appended to the list; a cross if it fails."""
+        told: list[str] = []
+        try:
+            with self.console.status(f"{what} …", spinner="dots"):
+                yield told
+        except BaseException:
+            self.console.print(Text.assemble(("  ✗ ", "bold red"), what))
+            raise
+        note = f"  {told[0]}" if told else ""
+        self.console.print(Text.assemble(("  ✓ ", "bold green"), what, (note, "dim")), highlight=False)
+
+    def say(self, text: str) -> None:
+        """One indented line."""
+        self.console.print(f"    {text}", style="dim", highlight=False)
+
+    @contextmanager
+    def watching(self) -> Iterator[Live]:
+        """A live area for `progress`."""
+        with Live(console=self.console, refresh_per_second=5, transient=True) as live:
+            yield live
+
+    def progress(self, name: str, lifted_m: float, held_s: float, note: str, elapsed_s: float) -> Group:
+        """How far the named object has come."""
+        lift = Table.grid(padding=(0, 1))
+        lift.add_row("    lifted", _bar(lifted_m, LIFT_GOAL_M), f"{max(0.0, lifted_m) * 100:5.1f} cm")
+        lift.add_row("    held", _bar(held_s, HOLD_GOAL_S), f"{held_s:5.1f} s")
+        head = Text.assemble((f"    {elapsed_s:4.0f} s  ", "dim"), (note or "…", "bold"), (f"   [{name} cube]", "dim"))
+        return Group(head, lift)
+
+    def summary(self, modules: Sequence[Mapping[str, Any]]) -> None:
+        """Rates and latencies of the modules while they worked."""
+        table = Table(title="While it worked", title_style="bold", title_justify="left", header_style="dim")
+        table.add_column("process")
+        for column in ("pid", "rate", "latency", "p99", "published", "dropped"):
+            table.add_column(column, justify="right")
+        table.add_column("latency is the time", style="dim")
+        meaning = {
+            "robot": "from command sent to command received",
+            "perception": "from capture to image sent",
+            "control": "from action sent to command sent",
+            "inference": "from capture to action sent",
+        }
+        for name in _MODULES:
+            module = next((m for m in modules if m.get("module") == name), None)
+            if module is None:
+                continue
+            table.add_row(
+                name,
+                str(module.get("pid", "")),
+                _unit(module.get("rate_hz"), "Hz", 1),
+                _unit(module.get("latency_ms"), "ms", 1),
+                _unit(module.get("latency_p99_ms"), "ms", 1),
+                str(module.get("published", "")),
+                str(module.get("dropped", "")),
+                meaning[name],
+            )
+        self.console.print()
+        self.console.print(table)
+
+
+def _bar(value: float, goal: float) -> ProgressBar:
+    return ProgressBar(total=1.0, completed=min(1.0, max(0.0, value / goal)), width=30)
+
+
+def _unit(value: Any, unit: str, digits: int) -> str:
+    return "" if value is None else f"{float(value):.{digits}f} {unit}"
