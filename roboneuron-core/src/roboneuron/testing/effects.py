@@ -29,7 +29,7 @@ _EVENTS = {
     "os.posix_spawn": "starts the process",
     "os.fork": "forks",
     "os.system": "runs the command",
-    "_thread.start_new_thread": "starts the thread",
+    "_thread.start_new_thread": "starts the thread",  # from Python 3.12 on; before, only threads that last are seen
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
 _observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
@@ -50,7 +50,7 @@ def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
     spent_s = time.thread_time() - started_s
     effects += [f"imports {name}" for name in HEAVY_MODULES if name in sys.modules and name not in loaded]
     if not effects and _native_threads() > tasks:
-        effects.append("starts native threads")
+        effects.append("starts threads")
     if spent_s > PURE_CPU_S:
         effects.append(f"computes for {spent_s:.1f} s")
     return result, effects
@@ -126,7 +126,7 @@ def wait_until(condition: Callable[[], bool], limit_s: float) -> bool:
 
 def running() -> frozenset[str]:
     """Names of what a closed plugin must not leave behind: Python threads and child processes of this process."""
-    threads = {f"thread {t.name}" for t in threading.enumerate() if t is not threading.current_thread()}
+    threads = {f"thread {t.name} ({t.native_id})" for t in threading.enumerate() if t is not threading.current_thread()}
     children: set[str] = set()
     for listing in Path("/proc/self/task").glob("*/children"):
         try:
@@ -136,7 +136,7 @@ def running() -> frozenset[str]:
     return frozenset(threads | children)
 
 
-def check_released(before: frozenset[str], what: str, limit_s: float = 5.0) -> None:
+def check_released(before: frozenset[str], what: str, limit_s: float = 3.0) -> None:
     """Raise Violation when threads or child processes that were not `before` are still there after `limit_s`."""
     if not wait_until(lambda: running() <= before, limit_s):
         raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")

@@ -22,7 +22,7 @@ from roboneuron.testing.rule import NotApplicable, Rule, require
 
 T = TypeVar("T")
 
-ABORT_LIMIT_S = 5.0
+ABORT_LIMIT_S = 2.0
 """`abort` gives up; it does not wait for what it gives up."""
 
 
