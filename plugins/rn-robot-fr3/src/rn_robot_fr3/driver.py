@@ -73,7 +73,7 @@ class SimulatedDriver:
         self._check_started()
 
     def read(self) -> RobotState:
-        """Return the newest state, at most a few milliseconds old; see `RobotState.detail` for the cubes.
+        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the cubes.
 
         `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the simulator's truth),
         "sim_time_s", "real_time_factor" (achieved during the last second) and "seed".

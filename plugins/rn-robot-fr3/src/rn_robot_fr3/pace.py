@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+_TICK_S = 1.0 / 120.0
+"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16 %."""
 _LARGEST_BATCH_S = 0.05
 _WINDOW_S = 1.0
 
@@ -17,6 +19,7 @@ class Pace:
         """`step_s` is simulated time per step [s], `factor` simulated seconds wanted per second."""
         self._period_s = step_s / factor
         self._step_s = step_s
+        self._least_batch = max(1, round(_TICK_S / self._period_s))
         self._largest_batch = max(1, round(_LARGEST_BATCH_S / self._period_s))
         self._next_s: float | None = None
         self._window_start_s = 0.0
@@ -41,5 +44,5 @@ class Pace:
         return steps
 
     def until_next_s(self, now_s: float) -> float:
-        """Time until the next step is due [s], >= 0."""
-        return max(0.0, (self._next_s or now_s) + self._period_s - now_s)
+        """Time until the next steps, at least 1/120 s worth, are due [s], >= 0."""
+        return max(0.0, (self._next_s or now_s) + self._least_batch * self._period_s - now_s)
