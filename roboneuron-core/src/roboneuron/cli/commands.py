@@ -27,6 +27,7 @@ class CommandModule(Protocol):
 
 COMMANDS: dict[str, Command] = {
     "demo": Command("roboneuron.cli.demo", "an agent stand-in picks up a cube with the simulated robot"),
+    "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
 }

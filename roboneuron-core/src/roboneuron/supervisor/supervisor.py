@@ -140,6 +140,10 @@ class Supervisor:
         process = slot.begin_stop()
         return self._finish([(slot, process)])[0]
 
+    def cancel(self, kind: ModuleKind, reason: str) -> bool:
+        """End a start in progress, without waiting for its end; returns whether there was one."""
+        return self._slots[kind].cancel(reason)
+
     def stop_all(self) -> list[Stopped]:
         """Stop everything in the reverse order of starting; never raises for what is not running."""
         for slot in self._slots.values():

@@ -1,0 +1,1 @@
+"""The MCP server: typed tools over the supervisor and the plugin registry."""

@@ -1,0 +1,176 @@
+"""The server put together: tools and resources over one closed loop, served over stdio."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar, cast
+
+import anyio
+from anyio import to_thread
+from mcp import types
+from mcp.server import Server
+from mcp.server.context import ServerRequestContext
+from mcp.server.stdio import stdio_server
+
+from roboneuron import __version__
+from roboneuron.config import Config
+from roboneuron.ros.environment import state_directory
+from roboneuron.server.catalogue import catalogue_tools
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.observing import observing_tools
+from roboneuron.server.pic import closed_loop_tools
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.registry import ToolRegistry
+from roboneuron.server.resources import Resources
+from roboneuron.server.selection import check_configuration
+from roboneuron.server.stdio import LineReader, LineWriter
+from roboneuron.server.stopping import emergency_tools
+from roboneuron.server.tool import Stage
+from roboneuron.supervisor.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+INSTRUCTIONS = """\
+RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
+set_instruction. Watch get_status and get_camera_image. A call that returns has done what it says; everything else is an
+error with a reason. list_* tell what can be chosen. emergency_stop stops all motion at once; stop_all ends all."""
+
+
+class RequestContext:
+    """CallContext of one request: work on threads, progress to the client."""
+
+    def __init__(self, request: ServerRequestContext[Any, Any]) -> None:
+        self._request = request
+
+    async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
+        """See `CallContext.run`."""
+        loop = asyncio.get_running_loop()
+        send, receive = anyio.create_memory_object_stream[str](64)
+        failure: Exception | None = None
+        result: list[T] = []
+
+        def put(text: str) -> None:
+            with suppress(anyio.WouldBlock, anyio.ClosedResourceError, anyio.BrokenResourceError):
+                send.send_nowait(text)
+
+        def stage(text: str) -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(put, text)
+
+        async def forward() -> None:
+            with receive:
+                step = 0
+                async for text in receive:
+                    step += 1
+                    await self._request.session.report_progress(step, message=text)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(forward)
+            try:
+                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True))
+            except anyio.get_cancelled_exc_class():
+                on_cancel()
+                raise
+            except Exception as error:  # raised again below, outside of the task group that would wrap it
+                failure = error
+            finally:
+                send.close()
+        if failure is not None:
+            raise failure
+        return result[0]
+
+
+class Application:
+    """Everything `roboneuron serve` consists of; `close` ends all of it."""
+
+    def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
+        self._started_s = time.monotonic()
+        self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
+        self.supervisor = supervisor or Supervisor(state_directory(config.supervisor.state_directory))
+        self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self.tools = ToolRegistry(
+            [
+                *observing_tools(self.loop, self._started_s),
+                *closed_loop_tools(self.loop),
+                *emergency_tools(self.loop),
+                *catalogue_tools(self.plugins),
+            ]
+        )
+        self.resources = Resources(self.loop, self._started_s)
+        self.server = self._build(config.server.name)
+
+    def close(self) -> None:
+        """Stop all modules and threads; idempotent."""
+        self.supervisor.close()
+
+    def _build(self, name: str) -> Server[Any]:
+        async def list_tools(_: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+            return types.ListToolsResult(tools=self.tools.listing())
+
+        async def call_tool(
+            context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
+        ) -> types.CallToolResult:
+            return await self.tools.call(params.name, params.arguments or {}, RequestContext(context))
+
+        async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
+            return types.ListResourcesResult(resources=self.resources.listing())
+
+        async def read_resource(
+            _: ServerRequestContext[Any, Any], params: types.ReadResourceRequestParams
+        ) -> types.ReadResourceResult:
+            return types.ReadResourceResult(contents=[self.resources.read(str(params.uri))])
+
+        return Server(
+            name,
+            version=__version__,
+            instructions=INSTRUCTIONS,
+            on_list_tools=list_tools,
+            on_call_tool=call_tool,
+            on_list_resources=list_resources,
+            on_read_resource=read_resource,
+        )
+
+
+def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
+    """Serve one client on the descriptors `wire` until it leaves, or SIGTERM or SIGINT comes; then stop everything.
+
+    Raises:
+        ConfigurationError, PlanningError: the configuration names what is not installed or does not fit.
+    """
+    application = Application(config)
+    check_configuration(config, application.plugins.current())
+    application.supervisor.open()
+    try:
+        anyio.run(_serve, application, wire)
+    finally:
+        application.close()
+
+
+async def _serve(application: Application, wire: tuple[int, int]) -> None:
+    reader, writer = LineReader(wire[0]), LineWriter(wire[1])
+    reader.start()
+    writer.start()
+
+    async def leave_on_signal(scope: anyio.CancelScope) -> None:
+        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
+            async for number in signals:
+                log.info("Received %s: stopping everything.", signal.Signals(number).name)
+                scope.cancel()
+                return
+
+    log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
+    async with anyio.create_task_group() as group:
+        group.start_soon(leave_on_signal, group.cancel_scope)
+        # The streams only need to be iterated and written to.
+        async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
+            server = application.server
+            await server.run(read_stream, write_stream, server.create_initialization_options())
+        group.cancel_scope.cancel()
+    writer.close()

@@ -1,0 +1,105 @@
+"""The emergency stop of the control plane: latched, told on a topic, and believed only when the modules confirm it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from roboneuron.errors import NotReadyError, UnsafeError
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
+from roboneuron.supervisor.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+CONFIRM_S = 2.0
+"""Modules report a change at once; this is ten times their slowest period."""
+
+
+class EmergencyStop:
+    """Publishes the latch for every namespace that a module was started in; usable from any thread."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._lock = threading.Lock()
+        self._publishers: dict[str, Callable[[Any], None]] = {}
+        self._latched = False
+
+    def is_latched(self) -> bool:
+        """Whether the stop is latched here or in any module."""
+        return self._latched or any(
+            view.report is not None and view.report.emergency_stop is True for view in self._supervisor.views()
+        )
+
+    def prepare(self, namespace: str) -> None:
+        """Make the topic known before it is needed; a latched stop reaches modules that start later."""
+        from std_msgs.msg import Bool  # heavy
+
+        from roboneuron.ros.qos import LATCHED
+
+        with self._lock:
+            if namespace in self._publishers:
+                return
+            publish = self._supervisor.link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
+            self._publishers[namespace] = publish
+            if self._latched:
+                publish(Bool(data=True))
+
+    def latch(self, namespace: str) -> tuple[list[str], float]:
+        """Stop all motion; returns the modules that confirmed it, and after how many seconds.
+
+        Raises:
+            UnsafeError: a running module did not confirm it in time; the message names it.
+        """
+        self._latched = True
+        confirmed, silent, took_s = self._tell(namespace, True)
+        if silent:
+            raise UnsafeError(
+                f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: {', '.join(silent)}.",
+                hint="Use the robot's own stop if it moves, then stop_all.",
+            )
+        return confirmed, took_s
+
+    def reset(self, namespace: str) -> tuple[list[str], float]:
+        """Release the latch; nothing moves by itself. Returns as `latch`.
+
+        Raises:
+            NotReadyError: a running module did not confirm it in time.
+        """
+        self._latched = False
+        confirmed, silent, took_s = self._tell(namespace, False)
+        if silent:
+            raise NotReadyError(
+                f"The reset was sent, but not confirmed within {CONFIRM_S:g} s by: {', '.join(silent)}.",
+                hint="Look at get_status; call reset_emergency_stop again.",
+            )
+        return confirmed, took_s
+
+    def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
+        from std_msgs.msg import Bool  # heavy
+
+        started_s = time.monotonic()
+        self.prepare(namespace)
+        with self._lock:
+            publishers = list(self._publishers.values())
+        for publish in publishers:
+            publish(Bool(data=latched))
+        log.warning("Emergency stop %s.", "latched" if latched else "released")
+
+        def all_confirmed() -> bool:
+            return not self._unconfirmed(latched, started_s)
+
+        self._supervisor.changes.wait_for(all_confirmed, CONFIRM_S)
+        silent = self._unconfirmed(latched, started_s)
+        running = [view.kind for view in self._supervisor.views() if view.phase == "running"]
+        return [kind for kind in running if kind not in silent], silent, time.monotonic() - started_s
+
+    def _unconfirmed(self, latched: bool, since_s: float) -> list[str]:
+        """Running modules that have not reported the latch since then."""
+        return [
+            view.kind
+            for view in self._supervisor.views()
+            if view.phase == "running"
+            and (view.report is None or view.report.received_s < since_s or view.report.emergency_stop is not latched)
+        ]

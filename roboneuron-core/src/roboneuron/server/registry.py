@@ -1,0 +1,114 @@
+"""All tools by name: listing them with today's choices, and calling one with checked arguments."""
+
+from __future__ import annotations
+
+import json
+import logging
+import uuid
+from base64 import b64encode
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from mcp import types
+from pydantic import ValidationError
+
+from roboneuron.errors import InternalError, InvalidInputError, RoboNeuronError
+from roboneuron.server.schema import Schema, check_arguments, input_schema, output_schema
+from roboneuron.server.tool import CallContext, Reply, Tool
+
+log = logging.getLogger(__name__)
+
+
+class ToolRegistry:
+    """Tools in the order they were added; the one border between MCP and everything that is called."""
+
+    def __init__(self, tools: Iterable[Tool[Any]] = ()) -> None:
+        self._tools: dict[str, Tool[Any]] = {}
+        self._output_schemas: dict[str, Schema] = {}
+        for tool in tools:
+            self.add(tool)
+
+    def add(self, tool: Tool[Any]) -> None:
+        """Add a tool.
+
+        Raises:
+            InternalError: there is one of that name.
+        """
+        if tool.name in self._tools:
+            raise InternalError(f"There are two tools called {tool.name!r}.")
+        self._tools[tool.name] = tool
+        self._output_schemas[tool.name] = output_schema(tool.result)
+
+    def remove(self, name: str) -> None:
+        """Remove a tool; nothing happens when there is none."""
+        self._tools.pop(name, None)
+        self._output_schemas.pop(name, None)
+
+    def listing(self) -> list[types.Tool]:
+        """What `tools/list` answers."""
+        return [
+            types.Tool(
+                name=tool.name,
+                title=tool.title,
+                description=tool.description,
+                input_schema=self._input_schema(tool),
+                output_schema=self._output_schemas[tool.name],
+                annotations=types.ToolAnnotations(
+                    title=tool.title,
+                    read_only_hint=tool.read_only,
+                    destructive_hint=tool.destructive,
+                    idempotent_hint=tool.idempotent,
+                    open_world_hint=tool.open_world,
+                ),
+            )
+            for tool in self._tools.values()
+        ]
+
+    async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
+        """Validate, run, and answer; every failure is an MCP error result."""
+        try:
+            tool = self._tools.get(name)
+            if tool is None:
+                raise InvalidInputError(f"There is no tool {name!r}.", hint="See tools/list.")
+            checked = check_arguments(self._input_schema(tool), arguments)
+            try:
+                typed = tool.arguments.model_validate(checked)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                path = ".".join(str(part) for part in first["loc"])
+                raise InvalidInputError(f"Argument {path!r}: {first['msg']}.", path=path) from error
+            outcome = await tool.handler(typed, context)
+        except RoboNeuronError as error:
+            log.info("%s was refused: %s: %s", name, error.code, error)
+            return _failure(error)
+        except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
+            incident = uuid.uuid4().hex[:8]
+            log.exception("%s failed (incident %s)", name, incident)
+            return _failure(
+                InternalError(
+                    f"{name} failed unexpectedly (incident {incident}).",
+                    hint="The server's log has the details; get_status tells what is running.",
+                )
+            )
+        reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
+        structured = reply.result.model_dump(mode="json")
+        content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
+        content += [
+            types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
+            for p in reply.pictures
+        ]
+        return types.CallToolResult(content=content, structured_content=structured)
+
+    def _input_schema(self, tool: Tool[Any]) -> Schema:
+        return input_schema(tool.arguments, {name: ask() for name, ask in tool.choices.items()})
+
+
+def _failure(error: RoboNeuronError) -> types.CallToolResult:
+    details = {"code": error.code, "message": error.message, "hint": error.hint}
+    if isinstance(error, InvalidInputError) and error.path:
+        details["path"] = error.path
+    return types.CallToolResult(
+        content=[types.TextContent(type="text", text=str(error))],
+        structured_content={"error": details},
+        is_error=True,
+    )

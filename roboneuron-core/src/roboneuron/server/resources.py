@@ -1,0 +1,61 @@
+"""MCP resources: the status, and the log of each module."""
+
+from __future__ import annotations
+
+from mcp import types
+from mcp.shared.exceptions import MCPError
+
+from roboneuron.modules.settings import MODULE_KINDS
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.observing import status
+from roboneuron.supervisor.logs import read_tail
+
+STATUS_URI = "roboneuron://status"
+LOG_URI = "roboneuron://logs/"
+LOG_LINES = 500
+
+
+class Resources:
+    """Lists and reads them."""
+
+    def __init__(self, loop: ClosedLoop, started_s: float) -> None:
+        self._loop = loop
+        self._started_s = started_s
+
+    def listing(self) -> list[types.Resource]:
+        """What `resources/list` answers."""
+        return [
+            types.Resource(
+                name="status",
+                title="Status of everything",
+                uri=STATUS_URI,
+                description="The answer of get_status.",
+                mime_type="application/json",
+            ),
+            *(
+                types.Resource(
+                    name=f"log of {kind}",
+                    title=f"Log of {kind}",
+                    uri=f"{LOG_URI}{kind}",
+                    description=f"The last {LOG_LINES} lines that {kind} has written.",
+                    mime_type="text/plain",
+                )
+                for kind in MODULE_KINDS
+            ),
+        ]
+
+    def read(self, uri: str) -> types.TextResourceContents:
+        """What `resources/read` answers.
+
+        Raises:
+            MCPError: there is no such resource.
+        """
+        if uri == STATUS_URI:
+            text = status(self._loop, self._started_s).model_dump_json(indent=2)
+            return types.TextResourceContents(uri=uri, mime_type="application/json", text=text)
+        for kind in MODULE_KINDS:
+            if uri == f"{LOG_URI}{kind}":
+                lines = read_tail(self._loop.supervisor.log_path(kind), lines=LOG_LINES)
+                return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
+        known = ", ".join(resource.uri for resource in self.listing())
+        raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")

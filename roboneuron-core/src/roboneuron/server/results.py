@@ -1,0 +1,195 @@
+"""What the closed-loop tools answer, field by field; the descriptions are part of the output schemas."""
+
+from __future__ import annotations
+
+import time
+from typing import Literal
+
+from pydantic import Field
+
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.tool import Result
+from roboneuron.supervisor.view import ModuleView, Stopped
+
+STALE_S = 1.0
+"""A module whose newest report is older than this (five periods) is shown as not responding."""
+
+
+class Failure(Result):
+    """A module's newest error."""
+
+    code: str = Field(description="stable machine-readable word")
+    message: str
+    hint: str = ""
+
+
+class ExitInfo(Result):
+    """How a module ended by itself."""
+
+    pid: int
+    code: int = Field(description="exit code; negative for the signal that ended it")
+    at: str = Field(description="ISO 8601 time at which it was noticed")
+    last_lines: list[str] = Field(description="the end of its log")
+
+
+class ModuleStatus(Result):
+    """One module: what it does, how fast, how fresh, and what is wrong."""
+
+    module: ModuleKind
+    phase: Literal["stopped", "starting", "running", "stopping", "exited"] = Field(
+        description="exited: it ended by itself, see `exit`"
+    )
+    ready: bool = Field(default=False, description="it has proved that it works and still reports")
+    responding: bool = Field(default=False, description="its newest report is at most 1 s old")
+    pid: int | None = None
+    state: str = Field(default="", description="lifecycle state: unconfigured, configuring, inactive, active")
+    started_at: str | None = Field(default=None, description="ISO 8601")
+    uptime_s: float | None = None
+    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
+    rate_hz: float | None = Field(default=None, description="rate of its output")
+    latency_ms: float | None = Field(default=None, description="median from its input's stamp to its output")
+    latency_p99_ms: float | None = None
+    age_ms: float | None = Field(default=None, description="age of its newest input or output")
+    report_age_s: float | None = Field(default=None, description="time since its newest report")
+    loop_age_s: float | None = Field(default=None, description="time since its executor last turned; grows in a hang")
+    published: int = 0
+    dropped: int = Field(default=0, description="inputs not acted on, see `dropped_by`")
+    dropped_by: dict[str, int] = Field(default_factory=dict)
+    waiting_for: str = Field(default="", description="what is missing until it is ready")
+    instruction: str = ""
+    actions_for_instruction: int = Field(default=0, description="actions published for the present instruction")
+    note: str = Field(default="", description="what it is doing, in its own words")
+    error: Failure | None = None
+    error_count: int = 0
+    emergency_stop: bool | None = Field(default=None, description="whether the module itself is latched")
+    metrics: dict[str, str] = Field(default_factory=dict, description="whatever else it reports")
+    detail: dict[str, str] = Field(default_factory=dict, description="facts of the robot or simulator")
+    exit: ExitInfo | None = None
+    log: str | None = Field(default=None, description="resource with its log")
+
+
+class StartResult(Result):
+    """A module that runs and has proved that it works."""
+
+    module: ModuleStatus
+    took_s: float = Field(description="from the call to the proof of readiness")
+
+
+class StopResult(Result):
+    """A module that is gone from the process table, or a start that was cancelled."""
+
+    module: ModuleKind
+    cancelled_start: bool = Field(default=False, description="it was still starting")
+    pid: int | None = None
+    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
+    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    took_s: float = 0.0
+
+
+class StopAllResult(Result):
+    """Everything that was stopped, in that order; empty when nothing ran."""
+
+    stopped: list[StopResult]
+
+
+class SwitchResult(Result):
+    """The new backend runs and has proved that it works."""
+
+    module: ModuleStatus
+    replaced: dict[str, str] = Field(description="what ran before")
+    gap_s: float = Field(description="time without a running backend")
+
+
+class InstructionResult(Result):
+    """The backend has published its first action for the new instruction."""
+
+    instruction: str
+    took_s: float = Field(description="from the call to the first action")
+    note: str = ""
+
+
+class EmergencyStopResult(Result):
+    """The latch, as the modules themselves report it."""
+
+    latched: bool
+    confirmed_by: list[str] = Field(description="running modules that report it")
+    took_s: float
+    note: str = ""
+
+
+class StatusResult(Result):
+    """Everything at once."""
+
+    modules: list[ModuleStatus]
+    emergency_stop: bool = Field(description="latched here or in any module; nothing moves until it is reset")
+    namespace: str = Field(description="ROS namespace of the robot")
+    uptime_s: float = Field(description="of the server")
+    pid: int = Field(description="of the server")
+    versions: dict[str, str]
+    log_directory: str
+
+
+def module_status(view: ModuleView) -> ModuleStatus:
+    """What is known of a module, as the agent reads it."""
+    process, report = view.process, view.report
+    exited = None
+    if view.exit is not None:
+        exited = ExitInfo(
+            pid=view.exit.pid,
+            code=view.exit.code,
+            at=view.exit.at.isoformat(timespec="milliseconds"),
+            last_lines=list(view.exit.last_lines),
+        )
+    common = ModuleStatus(
+        module=view.kind,
+        phase=view.phase,
+        pid=process.pid if process is not None and view.phase != "exited" else None,
+        started_at=process.started_at.isoformat(timespec="seconds") if process is not None else None,
+        started_with=dict(view.choice.names) if view.choice is not None else {},
+        exit=exited,
+        log=f"roboneuron://logs/{view.kind}",
+    )
+    if report is None:
+        return common
+    age_s = time.monotonic() - report.received_s
+    responding = age_s <= STALE_S
+    failure = report.failure()
+    return common.model_copy(
+        update={
+            "ready": report.ready and responding and view.phase == "running",
+            "responding": responding,
+            "state": report.state,
+            "uptime_s": report.uptime_s,
+            "rate_hz": report.rate_hz if responding else 0.0,
+            "latency_ms": report.latency_ms,
+            "latency_p99_ms": report.latency_p99_ms,
+            "age_ms": report.age_ms,
+            "report_age_s": round(age_s, 3),
+            "loop_age_s": report.loop_age_s,
+            "published": report.published,
+            "dropped": report.dropped,
+            "dropped_by": dict(report.dropped_by),
+            "waiting_for": report.waiting_for,
+            "instruction": report.instruction,
+            "actions_for_instruction": report.actions_for_instruction,
+            "note": report.note if responding else f"No report for {age_s:.1f} s.",
+            "error": Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None,
+            "error_count": report.error_count,
+            "emergency_stop": report.emergency_stop,
+            "metrics": dict(report.metrics),
+            "detail": dict(report.detail),
+        }
+    )
+
+
+def stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:
+    """How a stop went, as the agent reads it."""
+    if stopped is None:
+        return StopResult(module=kind, cancelled_start=True)
+    return StopResult(
+        module=stopped.kind,
+        pid=stopped.pid,
+        exit_code=stopped.exit_code,
+        killed=stopped.killed,
+        took_s=round(stopped.took_s, 3),
+    )

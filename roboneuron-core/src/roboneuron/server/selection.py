@@ -1,0 +1,257 @@
+"""From a tool's arguments to the configuration a module is started with; everything unfit is refused here.
+
+Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
+from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, MissingDependencyError
+from roboneuron.planning import Plan, check_plan
+from roboneuron.plugins.loading import load_options, load_options_model
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import DriverSpec, Spec
+
+Options = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Selection:
+    """What to start.
+
+    Attributes:
+        config: the effective configuration.
+        names: what was chosen, for messages and the status.
+        python: interpreter of the module's own environment.
+        cameras: camera name by role that a backend will use.
+    """
+
+    config: Config
+    names: Mapping[str, str]
+    python: str | None
+    cameras: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class InferenceRequest:
+    """Arguments of `start_inference` and `switch_inference`; None means "as configured"."""
+
+    backend: str | None = None
+    checkpoint: str | None = None
+    runtime: str | None = None
+    acceleration: str | None = None
+    instruction: str | None = None
+    cameras: Mapping[str, str] | None = None
+    options: Options | None = None
+
+
+def select_robot(
+    config: Config, registry: Registry, robot: str | None, driver: str | None, options: Options
+) -> Selection:
+    """Check a robot and its driver.
+
+    Raises:
+        ConfigurationError: unknown or unusable names or options.
+    """
+    section = config.robot
+    if robot is not None and robot != section.name:
+        section = RobotConfig(name=robot)
+    if driver is not None:
+        section = section.model_copy(update={"driver": driver})
+    config = _merge(config, section.name, options).model_copy(update={"robot": section})
+    plan = check_plan(registry, robot=section.name, driver=section.driver)
+    _check_options(plan.driver, config.options(section.name), section.python, f"plugins.{section.name}")
+    return Selection(config=config, names={"robot": section.name, "driver": section.driver}, python=section.python)
+
+
+def select_perception(
+    config: Config, registry: Registry, source: str | None, cameras: tuple[str, ...], options: Options
+) -> Selection:
+    """Check a source and its cameras.
+
+    Raises:
+        InvalidInputError: no source is configured, or the robot has no such camera.
+        ConfigurationError: unknown or unusable names or options.
+        PlanningError: the source does not serve this robot.
+    """
+    section = config.perception
+    if section is None or (source is not None and source != section.source):
+        if source is None:
+            raise _unnamed("source", "perception", registry)
+        section = PerceptionConfig(source=source)
+    if cameras:
+        section = section.model_copy(update={"cameras": cameras})
+    plan = _plan(config, registry, perception=section.source)
+    known = [camera.name for camera in plan.robot.cameras]
+    for camera in section.cameras:
+        if camera not in known:
+            raise InvalidInputError(
+                f"Robot {plan.robot.name!r} has no camera {camera!r}.",
+                hint=f"Its cameras: {', '.join(known) or 'none'}.",
+            )
+    config = _merge(config, section.source, options).model_copy(update={"perception": section})
+    assert plan.perception is not None
+    _check_options(plan.perception, config.options(section.source), section.python)
+    names = {"source": section.source, "cameras": ", ".join(section.cameras or known)}
+    return Selection(config=config, names=names, python=section.python)
+
+
+def select_control(config: Config, registry: Registry, controller: str | None, options: Options) -> Selection:
+    """Check a controller.
+
+    Raises:
+        InvalidInputError: none is configured and none was named.
+        ConfigurationError: unknown or unusable names or options.
+        PlanningError: it cannot move this kind of robot.
+    """
+    section = config.control
+    if section is None or (controller is not None and controller != section.controller):
+        if controller is None:
+            raise _unnamed("controller", "controller", registry)
+        section = ControlConfig(controller=controller)
+    plan = _plan(config, registry, controller=section.controller)
+    config = _merge(config, section.controller, options).model_copy(update={"control": section})
+    assert plan.controller is not None
+    _check_options(plan.controller, config.options(section.controller), section.python)
+    return Selection(config=config, names={"controller": section.controller}, python=section.python)
+
+
+def select_inference(config: Config, registry: Registry, request: InferenceRequest) -> Selection:
+    """Check a backend with all that belongs to it.
+
+    Raises:
+        InvalidInputError: something needed is not named, or the instruction is blank.
+        CheckpointError: the checkpoint's path does not exist, or the backend takes none.
+        ConfigurationError: unknown or unusable names or options.
+        PlanningError: the parts do not fit together or the robot.
+    """
+    section = config.inference
+    if section is None or (request.backend is not None and request.backend != section.backend):
+        if request.backend is None:
+            raise _unnamed("backend", "backend", registry)
+        section = InferenceConfig(backend=request.backend)
+    named = {
+        "checkpoint": request.checkpoint,
+        "runtime": request.runtime,
+        "acceleration": request.acceleration,
+        "instruction": None if request.instruction is None else check_instruction(request.instruction),
+        "cameras": None if request.cameras is None else dict(request.cameras),
+    }
+    section = section.model_copy(update={key: value for key, value in named.items() if value is not None})
+    plan = _plan(
+        config,
+        registry,
+        backend=section.backend,
+        runtime=section.runtime,
+        acceleration=section.acceleration,
+        cameras=section.cameras,
+    )
+    assert plan.backend is not None
+    config = _merge(config, section.backend, request.options or {})
+    section = _check_checkpoint(section, plan, config)
+    config = config.model_copy(update={"inference": section})
+    options = dict(config.options(section.backend))
+    if section.checkpoint is not None:
+        options["checkpoint"] = section.checkpoint
+    _check_options(plan.backend, options, section.python)
+    for spec in (plan.runtime, plan.acceleration):
+        if spec is not None:
+            _check_options(spec, config.options(spec.name), section.python)
+    names = {
+        "backend": section.backend,
+        "checkpoint": section.checkpoint or "",
+        "runtime": plan.runtime.name if plan.runtime else "",
+        "acceleration": plan.acceleration.name if plan.acceleration else "",
+        "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
+    }
+    chosen = {key: name for key, name in names.items() if name}
+    return Selection(config=config, names=chosen, python=section.python, cameras=plan.cameras)
+
+
+def check_instruction(text: str) -> str:
+    """Return the instruction without blanks around it.
+
+    Raises:
+        InvalidInputError: nothing is left.
+    """
+    if not text.strip():
+        raise InvalidInputError(
+            "The instruction is empty.", hint='Say what to do, for instance "pick up the red cube".', path="instruction"
+        )
+    return text.strip()
+
+
+def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
+    """The section with an absolute path: the module may run in another working directory."""
+    assert plan.backend is not None
+    named = section.checkpoint or config.options(section.backend).get("checkpoint")
+    if named is None:
+        if plan.backend.needs_checkpoint:
+            raise InvalidInputError(
+                f"Backend {section.backend!r} needs a checkpoint.",
+                hint="Name the directory of the model's files in `checkpoint`.",
+                path="checkpoint",
+            )
+        return section
+    model = load_options_model(plan.backend) if not plan.backend.needs_checkpoint else None
+    if not plan.backend.needs_checkpoint and (model is None or "checkpoint" not in model.model_fields):
+        raise CheckpointError(f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named.")
+    path = Path(str(named)).expanduser()
+    if not path.exists():
+        raise CheckpointError(
+            f"The checkpoint {str(named)!r} does not exist.", hint=f"Looked for {path.absolute()} on the server's host."
+        )
+    return section.model_copy(update={"checkpoint": str(path.absolute())})
+
+
+def _plan(config: Config, registry: Registry, **parts: Any) -> Plan:
+    return check_plan(registry, robot=config.robot.name, driver=config.robot.driver, **parts)
+
+
+def _merge(config: Config, name: str, options: Options) -> Config:
+    """The configuration with `options` laid over `[plugins.<name>]`."""
+    if not options:
+        return config
+    return config.model_copy(update={"plugins": {**config.plugins, name: {**config.options(name), **options}}})
+
+
+def _check_options(spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None) -> None:
+    """Validate options here when the plugin can be imported here; a module with its own environment does it itself."""
+    try:
+        load_options(spec, options, section=section)
+    except MissingDependencyError:
+        if python is None:
+            raise
+
+
+def _unnamed(argument: str, kind: str, registry: Registry) -> InvalidInputError:
+    choices = ", ".join(registry.specs(kind))
+    return InvalidInputError(
+        f"The configuration names no {argument}.",
+        hint=f"Name one: {choices}." if choices else f"No {kind} plugin is installed.",
+        path=argument,
+    )
+
+
+def check_configuration(config: Config, registry: Registry) -> None:
+    """Refuse a configuration that names what is not installed, before the server starts.
+
+    Raises:
+        ConfigurationError, PlanningError: as the `select_...` functions.
+    """
+    select_robot(config, registry, None, None, {})
+    if config.perception is not None:
+        select_perception(config, registry, None, (), {})
+    if config.control is not None:
+        select_control(config, registry, None, {})
+    if config.inference is not None:
+        try:
+            select_inference(config, registry, InferenceRequest())
+        except InvalidInputError as error:  # a checkpoint may be named later, by the agent
+            if error.path != "checkpoint":
+                raise ConfigurationError(error.message, hint=error.hint) from error

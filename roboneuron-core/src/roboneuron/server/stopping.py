@@ -1,0 +1,55 @@
+"""The emergency stop and its reset, as tools."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.results import EmergencyStopResult
+from roboneuron.server.tool import CallContext, NoArguments, Tool
+
+
+def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """emergency_stop and reset_emergency_stop."""
+    stop = loop.emergency_stop
+
+    async def latch(_: NoArguments, context: CallContext) -> EmergencyStopResult:
+        confirmed, took_s = await context.run(lambda _: stop.latch(loop.config.namespace))
+        note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
+        return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+
+    async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
+        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace))
+        note = "Nothing moves by itself; a running backend acts again on the next image."
+        return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+
+    return [
+        Tool(
+            name="emergency_stop",
+            title="Emergency stop",
+            description=(
+                "Stop all motion now and keep it stopped until reset_emergency_stop. Modules go on running. Returns "
+                "when every running module has confirmed it; an error names those that have not."
+            ),
+            arguments=NoArguments,
+            result=EmergencyStopResult,
+            handler=latch,
+            destructive=True,
+            idempotent=True,
+            open_world=True,
+        ),
+        Tool(
+            name="reset_emergency_stop",
+            title="Release the emergency stop",
+            description=(
+                "Release the emergency stop. A backend that still has an instruction goes on with it: stop_inference "
+                "first if it should not. Ask a person who sees the robot before calling this."
+            ),
+            arguments=NoArguments,
+            result=EmergencyStopResult,
+            handler=reset,
+            destructive=True,
+            idempotent=True,
+            open_world=True,
+        ),
+    ]

@@ -1,0 +1,88 @@
+"""One tool as data: what the agent reads of it, and the function that does it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar
+
+from pydantic import BaseModel, ConfigDict
+
+T = TypeVar("T")
+A = TypeVar("A", bound="Arguments")
+Stage = Callable[[str], None]
+"""Tells the caller how far a long call has come; callable from any thread."""
+
+
+class Arguments(BaseModel):
+    """Base of all argument models: nothing unknown, nothing converted."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class NoArguments(Arguments):
+    """For tools without arguments."""
+
+
+class Result(BaseModel):
+    """Base of all result models."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Picture:
+    """An image that goes to the agent as MCP image content; `data` is an encoded file."""
+
+    data: bytes
+    mime_type: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reply:
+    """A result, and pictures beside it."""
+
+    result: Result
+    pictures: tuple[Picture, ...] = ()
+
+
+class CallContext(Protocol):
+    """What a tool may do besides returning."""
+
+    async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
+        """Run blocking `work` on a thread; its stages go to the client as progress.
+
+        When the client cancels or leaves, `on_cancel` is called, the thread is left to end by itself, and the
+        cancellation goes on.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tool(Generic[A]):
+    """A tool.
+
+    Attributes:
+        name: snake_case, a verb first.
+        title: for people.
+        description: for the agent: what it does, when it returns, what comes before and after it.
+        arguments, result: models; their JSON schemas are what the agent sees.
+        handler: validated arguments -> Result or Reply; raises RoboNeuronError.
+        read_only: changes nothing.
+        destructive: may end or undo something.
+        idempotent: a second call changes nothing more.
+        open_world: reaches what this server does not control (the physical world counts).
+        choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
+    """
+
+    name: str
+    title: str
+    description: str
+    arguments: type[A]
+    result: type[Result]
+    handler: Callable[[A, CallContext], Awaitable[Result | Reply]]
+    read_only: bool = False
+    destructive: bool = False
+    idempotent: bool = False
+    open_world: bool = False
+    choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
