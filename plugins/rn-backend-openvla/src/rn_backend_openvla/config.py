@@ -16,7 +16,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 class OwnProfile(BaseModel):
     """What a checkpoint's actions mean, said field by field: `profile = "own"`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     metres_per_unit: Positive
     """What 1.0 in the first three values means, after un-normalisation."""
@@ -39,7 +39,7 @@ class OwnProfile(BaseModel):
 class ModelOptions(BaseModel):
     """What every backend of the family is told."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     checkpoint: Path
     """Directory with config.json, the weights, the processor and the tokenizer."""

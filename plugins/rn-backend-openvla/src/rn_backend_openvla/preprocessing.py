@@ -53,7 +53,7 @@ class Preprocessor:
         planes = np.ascontiguousarray(image.transpose(2, 0, 1))
         pixels = np.empty((len(self._tables), self._size, self._size), dtype=np.float32)
         for channel, table in enumerate(self._tables):
-            np.take(table, planes[channel % 3], out=pixels[channel])
+            np.take(table, planes[channel % 3], out=pixels[channel], mode="clip")  # other modes copy once more
         return pixels
 
 

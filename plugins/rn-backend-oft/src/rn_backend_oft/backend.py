@@ -1,0 +1,186 @@
+"""The backends `oft` and `oft-primary`: images, state and an instruction to a chunk of actions."""
+
+from __future__ import annotations
+
+import time
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_oft.config import OftConfig
+from rn_backend_oft.policy import OftPolicy
+from rn_backend_oft.state import read_state, state_width
+from rn_backend_openvla.bins import ActionBins
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.policy import action_bins
+from rn_backend_openvla.preprocessing import Preprocessor
+from rn_backend_openvla.prompt import PromptEncoder
+from rn_backend_openvla.statistics import DatasetStatistics, Scaling, choose_statistics
+from roboneuron.contract.action import ACTION_SIZE, ActionChunk
+from roboneuron.contract.decoding import RowsReply
+from roboneuron.contract.observation import Observation
+from roboneuron.contract.protocols import Acceleration, Runtime
+from roboneuron.errors import ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+_EPSILON = 1e-8
+"""Added to every range. Source: OpenVLA-OFT, un-normalisation of actions and normalisation of proprioception."""
+
+
+class OftBackend:
+    """Follows `roboneuron.contract.Backend`."""
+
+    cameras: ClassVar[tuple[str, ...]] = ("primary", "wrist")
+    """Roles in the order of the model's images."""
+
+    def __init__(
+        self, config: OftConfig, *, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+    ) -> None:
+        self._config = config
+        self._profile = config.action_profile()
+        self._constants = config.platform()
+        self._runtime = runtime
+        self._acceleration = acceleration
+        self._policy: OftPolicy
+        self._encoder: PromptEncoder
+        self._preprocessor: Preprocessor
+        self._scaling: Scaling
+        self._proprio: Scaling | None = None
+        self._bins: ActionBins
+        self._visual_tokens = 0
+        self._loaded = False
+
+    def load(self) -> None:
+        """Read the checkpoint with its component files and give it to the runtime.
+
+        Raises:
+            CheckpointError: files are absent, damaged, of another family or of a kind that is not implemented.
+            ConfigurationError: an option does not fit the checkpoint or the contract.
+        """
+        config, constants = self._config, self._constants
+        if self._runtime is None:
+            raise ConfigurationError("Backend 'oft' needs a runtime.", hint="Install rn-runtime-torch.")
+        if constants.action_width != ACTION_SIZE:
+            raise ConfigurationError(
+                f"constants = {config.constants!r} has {constants.action_width} values per action (two arms' joints); "
+                f"the contract carries the TCP delta and gripper of one arm, {ACTION_SIZE} values."
+            )
+        checkpoint = Checkpoint.read(config.checkpoint)
+        key, statistics = choose_statistics(checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source)
+        self._read_scalings(key, statistics)
+        self._policy = OftPolicy(
+            checkpoint=checkpoint,
+            constants=constants,
+            cameras=len(self.cameras),
+            head=config.head,
+            proprio_width=self._proprio.width if self._proprio is not None else 0,
+        )
+        self._encoder = PromptEncoder(config.checkpoint / "tokenizer.json", "v02")
+        self._preprocessor = Preprocessor(
+            size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
+        )
+        self._bins = action_bins(checkpoint)
+        model = self._policy.model(config.max_prompt_tokens)
+        self._visual_tokens = model.visual_tokens
+        self._runtime.load(model, self._acceleration)
+        self._loaded = True
+
+    def _read_scalings(self, key: str, statistics: DatasetStatistics) -> None:
+        constants = self._constants
+        self._scaling = Scaling.of(statistics.action, constants.bounds, _EPSILON)
+        if self._scaling.width != constants.action_width:
+            raise ConfigurationError(
+                f"Data set {key!r} has {self._scaling.width} action values, "
+                f"constants = {self._config.constants!r} says {constants.action_width}."
+            )
+        self._proprio = None
+        if not self._config.proprio:
+            return
+        width = state_width(constants.state)
+        if statistics.proprio is None or len(statistics.proprio.min) != width:
+            has = "none" if statistics.proprio is None else str(len(statistics.proprio.min))
+            raise ConfigurationError(
+                f"Data set {key!r} has {has} proprio values, the state layout {constants.state!r} gives {width}."
+            )
+        self._proprio = Scaling.of(statistics.proprio, constants.bounds, _EPSILON)
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """A chunk of actions for the newest images and state.
+
+        Raises:
+            UngroundedError: a camera or the state is missing from the observation.
+            UnsafeError: the model produced non-finite values.
+        """
+        if not self._loaded or self._runtime is None:
+            raise StateError("Backend 'oft' is not loaded; call load first.")
+        started = time.perf_counter()
+        images = []
+        for role in self.cameras:
+            frame = observation.frames.get(role)
+            if frame is None:
+                raise UngroundedError(
+                    f"The observation has no image of role {role!r}, only {sorted(observation.frames)}."
+                )
+            images.append(self._preprocessor.to_model_image(frame.image))
+        text = self._encoder.to_text(observation.instruction)
+        request = self._policy.request(
+            text=text,
+            ids=self._encoder.to_ids(text),
+            images=tuple(images),
+            pixel_values=np.concatenate([self._preprocessor.to_pixels(image) for image in images]),
+            proprio=self._normalized_state(observation),
+            timeout_s=self._config.timeout_s,
+        )
+        prepared = time.perf_counter()
+        reply = self._runtime.run(request)
+        if not isinstance(reply, RowsReply):
+            raise PluginError(f"The runtime answered {type(reply).__name__}, expected RowsReply.")
+        actions = self._to_contract(reply.values, observation)
+        metrics = {
+            "preprocess_ms": (prepared - started) * 1e3,
+            "inference_ms": (time.perf_counter() - started) * 1e3,
+            "visual_tokens": float(self._visual_tokens),
+            **reply.metrics,
+        }
+        return ActionChunk(actions=actions[: self._config.execute], step_s=self._profile.step_s, metrics=metrics)
+
+    def _normalized_state(self, observation: Observation) -> F32 | None:
+        if observation.ee_pose is None and self._profile.frame == "tcp":
+            raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
+        state = read_state(
+            observation,
+            self._constants.state,
+            finger_travel_m=self._config.finger_travel_m,
+            origin_m=np.array(self._config.state_origin_m),
+        )
+        return None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
+
+    def _to_contract(self, values: F32, observation: Observation) -> F64:
+        shape = (self._constants.chunk, self._constants.action_width)
+        if values.size != shape[0] * shape[1]:
+            raise PluginError(f"The runtime answered values {values.shape}, expected {shape}.")
+        normalized = values.reshape(shape).astype(np.float64)
+        if self._config.head == "tokens":
+            normalized = self._bins.to_values(normalized.astype(np.int64))
+        native = self._scaling.to_units(normalized)
+        if not np.isfinite(native).all():
+            raise UnsafeError("The model produced non-finite values; nothing was published.")
+        return self._profile.to_contract(native, observation.ee_pose)
+
+    def reset(self) -> None:
+        """Nothing is remembered between observations."""
+
+    def close(self) -> None:
+        """Release the runtime's model."""
+        self._loaded = False
+        if self._runtime is not None:
+            self._runtime.close()
+
+
+class OftPrimaryBackend(OftBackend):
+    """The same for checkpoints trained with one camera."""
+
+    cameras: ClassVar[tuple[str, ...]] = ("primary",)

@@ -1,0 +1,63 @@
+"""Options of the OpenVLA-OFT backends."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rn_backend_oft.constants import CONSTANTS, Constants, StateLayout
+from rn_backend_oft.plugin import MAX_CHUNK
+from rn_backend_openvla.config import ModelOptions
+from rn_backend_openvla.statistics import Bounds
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class OwnConstants(BaseModel):
+    """Constants of another platform, said field by field: `constants = "own"`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    chunk: Annotated[int, Field(ge=1, le=MAX_CHUNK)]
+    """Actions that the head yields at once."""
+    action_width: Annotated[int, Field(ge=1)] = 7
+    """Values per action."""
+    state: StateLayout
+    """Layout of proprioception."""
+    bounds: Bounds
+    """`q99` for the 1st and 99th percentile, `minmax` for the extremes."""
+
+
+class OftConfig(ModelOptions):
+    """Options of the backends `oft` and `oft-primary`."""
+
+    constants: Literal["libero", "bridge", "aloha", "own"]
+    """Platform whose chunk length, widths and normalisation the checkpoint was trained with."""
+    own_constants: OwnConstants | None = None
+    """The fields of `constants = "own"`."""
+    head: Literal["l1", "tokens"] = "l1"
+    """`l1` reads action_head--*_checkpoint.pt; `tokens` is for checkpoints without a head, which decode bins."""
+    proprio: bool
+    """The checkpoint has a proprio projector and was trained with proprioception."""
+    execute: Annotated[int, Field(ge=1, le=MAX_CHUNK)] | None = None
+    """Actions of each chunk to play before the next inference; None plays all."""
+    finger_travel_m: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.04
+    """Travel of each finger joint when open, for the state layout of LIBERO (Panda hand: 0.04)."""
+    state_origin_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Position of the robot's base in the world frame of the training data; added to the TCP position."""
+
+    @model_validator(mode="after")
+    def _check_constants(self) -> OftConfig:
+        if (self.constants == "own") != (self.own_constants is not None):
+            raise ValueError('own_constants must be given exactly when constants is "own"')
+        chunk = self.platform().chunk
+        if self.execute is not None and self.execute > chunk:
+            raise ValueError(f"execute is {self.execute}, but a chunk holds {chunk} actions")
+        return self
+
+    def platform(self) -> Constants:
+        """The chosen constants, whole."""
+        if self.own_constants is None:
+            return CONSTANTS[self.constants]
+        return Constants(**self.own_constants.model_dump())

@@ -1,0 +1,45 @@
+"""Constants of a training platform that the checkpoint does not say: they are options, never guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from rn_backend_openvla.statistics import Bounds
+
+StateLayout = Literal["xyz_rotvec_fingers", "xyz_rpy_opening", "joints"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Constants:
+    """What one platform was trained with.
+
+    Attributes:
+        chunk: actions per inference.
+        action_width: values per action.
+        state: how proprioception is laid out.
+        bounds: which statistics -1 and +1 stand for.
+    """
+
+    chunk: int
+    action_width: int
+    state: StateLayout
+    bounds: Bounds
+
+    @property
+    def tokens(self) -> int:
+        """Placeholder tokens, one per value."""
+        return self.chunk * self.action_width
+
+
+# Source: OpenVLA-OFT (Kim et al. 2025), platform constants.
+CONSTANTS: Mapping[str, Constants] = MappingProxyType(
+    {
+        "libero": Constants(chunk=8, action_width=7, state="xyz_rotvec_fingers", bounds="q99"),
+        "bridge": Constants(chunk=5, action_width=7, state="xyz_rpy_opening", bounds="q99"),
+        "aloha": Constants(chunk=25, action_width=14, state="joints", bounds="minmax"),
+    }
+)
+"""Constants by platform."""

@@ -1,0 +1,59 @@
+"""What this package offers: the backends `oft` and `oft-primary`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
+
+MAX_CHUNK = 25
+"""Most actions that one inference may yield."""
+
+
+def _spec(name: str, summary: str, target: str, cameras: tuple[str, ...]) -> BackendSpec:
+    return BackendSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_backend_oft.backend:{target}",
+        config="rn_backend_oft.config:OftConfig",
+        requires=(
+            Requirement(module="torch", install="pip install torch"),
+            Requirement(module="tokenizers", install="pip install tokenizers"),
+            Requirement(module="rn_backend_openvla", install="pip install rn-backend-openvla"),
+        ),
+        cameras=cameras,
+        needs_state=True,
+        needs_checkpoint=True,
+        action_space=ActionSpace(
+            width=7,
+            translation="checkpoint",
+            rotation="checkpoint",
+            frame="checkpoint",
+            gripper="checkpoint",
+            horizon=MAX_CHUNK,
+            step_s=0.0,
+        ),
+        family="openvla-oft",
+        runtimes_required=True,
+        default_runtime="torch",
+    )
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """OpenVLA-OFT checkpoints trained with one or with two cameras."""
+    return (
+        _spec(
+            "oft",
+            "OpenVLA-OFT: a chunk of actions in one pass, from a primary and a wrist camera and the measured state.",
+            "OftBackend",
+            ("primary", "wrist"),
+        ),
+        _spec(
+            "oft-primary",
+            "OpenVLA-OFT checkpoints trained with the primary camera only.",
+            "OftPrimaryBackend",
+            ("primary",),
+        ),
+    )

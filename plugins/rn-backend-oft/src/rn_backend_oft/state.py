@@ -1,0 +1,54 @@
+"""Proprioception as the checkpoint was trained with it, from the contract's measured state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_oft.constants import StateLayout
+from rn_backend_openvla.profiles import rpy_from_rotvec
+from roboneuron.contract.observation import Observation
+from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+from roboneuron.errors import ConfigurationError, UngroundedError
+
+F64 = NDArray[np.float64]
+
+STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType({"xyz_rotvec_fingers": 8, "xyz_rpy_opening": 7})
+"""Values of each layout that one arm's measured state gives."""
+
+
+def state_width(layout: StateLayout) -> int:
+    """Values of the layout. Raises ConfigurationError for one that a single arm's state does not give."""
+    if layout not in STATE_WIDTHS:
+        raise ConfigurationError(
+            f"The state layout {layout!r} is that of two arms' joints; the contract carries one TCP pose and gripper.",
+            hint=f"Layouts that can be filled: {', '.join(STATE_WIDTHS)}.",
+        )
+    return STATE_WIDTHS[layout]
+
+
+def read_state(observation: Observation, layout: StateLayout, *, finger_travel_m: float, origin_m: F64) -> F64:
+    """Measured state (n,): TCP position [m], then by layout
+
+    - "xyz_rotvec_fingers": rotation vector [rad], both finger joints [m] (the second one negative); as in LIBERO;
+    - "xyz_rpy_opening": roll, pitch, yaw [rad], opening 0 closed .. 1 open; as in BridgeData.
+
+    Raises:
+        UngroundedError: pose or gripper is missing or not finite; nothing is put in its place.
+    """
+    pose, opening = observation.ee_pose, observation.gripper_open
+    if pose is None or opening is None:
+        missing = "TCP pose" if pose is None else "gripper opening"
+        raise UngroundedError(f"The observation has no {missing}, which the checkpoint's proprioception needs.")
+    rotation = rotvec_from_matrix(matrix_from_quaternion(pose.quaternion_xyzw))
+    position = pose.position_m + origin_m
+    if layout == "xyz_rotvec_fingers":
+        state = np.concatenate([position, rotation, [opening * finger_travel_m, -opening * finger_travel_m]])
+    else:
+        state = np.concatenate([position, rpy_from_rotvec(rotation), [opening]])
+    if not np.isfinite(state).all():
+        raise UngroundedError(f"The measured state holds a non-finite value: {np.round(state, 4).tolist()}.")
+    return state

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rn_backend_oft.constants import CONSTANTS
+from rn_backend_oft.policy import OftPolicy
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_runtime_torch.runtime import TorchRuntime
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _few_threads():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def golden():
+    with np.load(DATA / "oft-tiny" / "golden.npz") as arrays:
+        return dict(arrays)
+
+
+@pytest.fixture
+def golden_copy(tmp_path) -> Path:
+    """A copy of the golden checkpoint that a test may damage."""
+    return Path(shutil.copytree(DATA / "oft-tiny", tmp_path / "oft", ignore=shutil.ignore_patterns("*.npz")))
+
+
+@pytest.fixture
+def golden_policy() -> OftPolicy:
+    checkpoint = Checkpoint.read(DATA / "oft-tiny")
+    return OftPolicy(checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8)
+
+
+@pytest.fixture
+def golden_runtime(golden_policy) -> TorchRuntime:
+    runtime = TorchRuntime()
+    runtime.load(golden_policy.model(64))
+    return runtime

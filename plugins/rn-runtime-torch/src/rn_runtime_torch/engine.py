@@ -1,0 +1,212 @@
+"""A loaded model: front, decoder and back on one device, and how requests run through them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol, cast
+
+import torch
+from torch import Tensor, nn
+
+from rn_runtime_torch.cache import KeyValueCache
+from rn_runtime_torch.config import TorchRuntimeConfig
+from rn_runtime_torch.decoder import Decoder
+from rn_runtime_torch.device import check_fits, choose_device, choose_dtype
+from rn_runtime_torch.graph import GraphCache
+from rn_runtime_torch.weights import check_shards, load_shards
+from roboneuron.contract.decoding import PolicyModel, Request, RowsReply, RowsRequest, TokenReply, TokenRequest
+from roboneuron.contract.protocols import Acceleration
+from roboneuron.errors import ConfigurationError, InvalidInputError, UnsafeError
+
+Check = Callable[[], None]
+"""Raises when nobody wants the answer any more."""
+
+
+class Front(Protocol):
+    """What `PolicyModel.build_front` returns, besides being a torch module."""
+
+    def __call__(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
+        """Arrays (1, ...), ids (1, n) and the embedding look-up -> decoder input (1, positions, hidden)."""
+        ...
+
+
+class Engine:
+    """Built once per model; every method runs on the caller's thread.
+
+    Raises, when built:
+        CheckpointError: files that are damaged or are not this model's.
+        ConfigurationError: the device is not there, the model does not fit, or the preset does not.
+    """
+
+    def __init__(self, model: PolicyModel, config: TorchRuntimeConfig, acceleration: Acceleration | None) -> None:
+        if config.threads is not None:
+            torch.set_num_threads(config.threads)
+        self._model = model
+        self._device = choose_device(config)
+        self._dtype = choose_dtype(config, self._device)
+        check_shards(model.shards)
+        with _memory_errors(self._device), torch.inference_mode():
+            self._build()
+            if acceleration is not None:
+                acceleration.apply(self._decoder)
+            if config.compile:
+                _compile(self._decoder)
+            self._graphs = GraphCache(self._device) if self._device.type == "cuda" and config.cuda_graphs else None
+            for length in self._warm_lengths(config):
+                self.answer(model.example(length), lambda: None)
+
+    def _build(self) -> None:
+        model, device, dtype = self._model, self._device, self._dtype
+        length = model.visual_tokens + model.max_prompt_tokens + model.extra_tokens + model.max_new_tokens
+        if length > model.decoder.max_positions:
+            raise ConfigurationError(
+                f"Prompts of {model.max_prompt_tokens} tokens make sequences of {length} positions, "
+                f"but the checkpoint knows {model.decoder.max_positions}."
+            )
+        with torch.device("meta"):
+            front: nn.Module = model.build_front()
+            decoder = Decoder(model.decoder, model.visual_tokens)
+            back: nn.Module | None = model.build_back() if model.build_back is not None else None
+        parts: dict[str, nn.Module] = {"front": front, "decoder": decoder}
+        if back is not None:
+            parts["back"] = back
+        count = sum(parameter.numel() for part in parts.values() for parameter in part.parameters())
+        check_fits(count * dtype.itemsize, device, dtype)
+        for part in parts.values():
+            part.to(dtype).to_empty(device=device).eval()
+        slots = {f"decoder.{name}": slot for name, slot in decoder.slots().items()}
+        for word in parts.keys() - {"decoder"}:
+            slots |= {f"{word}.{name}": slot.data for name, slot in parts[word].named_parameters()}
+        load_shards(model.shards, slots)
+        decoder.prepare_positions(device, dtype)
+        self._front = cast(Front, front)
+        self._decoder = decoder
+        self._back = back
+        self._cache = KeyValueCache(model.decoder, length, device, dtype) if model.max_new_tokens else None
+
+    def _warm_lengths(self, config: TorchRuntimeConfig) -> range:
+        first, last = config.warm_prompt_tokens
+        last = min(last, self._model.max_prompt_tokens)
+        first = min(first, last)
+        return range(first, (first if self._graphs is None else last) + 1)
+
+    def answer(self, request: Request, check: Check) -> TokenReply | RowsReply:
+        """Run one request; `check` is called between steps where there are any.
+
+        Raises:
+            InvalidInputError: the prompt or the number of tokens is more than the model was loaded for.
+            UnsafeError: the model produced NaN or infinity.
+        """
+        count = request.prompt.ids.size
+        if count > self._model.max_prompt_tokens:
+            raise InvalidInputError(
+                f"The prompt has {count} tokens, at most {self._model.max_prompt_tokens} fit.",
+                hint="Shorten the instruction.",
+            )
+        with _memory_errors(self._device), torch.inference_mode():
+            inputs = {
+                name: torch.from_numpy(array)[None].to(self._device, self._dtype)
+                for name, array in request.prompt.arrays.items()
+            }
+            inputs["ids"] = torch.from_numpy(request.prompt.ids)[None].to(self._device)
+            if isinstance(request, TokenRequest):
+                outputs, kept = self._decode(request, inputs, check)
+            else:
+                outputs, kept = self._read_rows(request, inputs)
+            if not bool(outputs["finite"]):
+                raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
+            metrics = {"tokens_kept": float(kept)}
+            if isinstance(request, TokenRequest):
+                logits = outputs["logits"].cpu().numpy() if request.with_logits else None
+                return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics)
+            return RowsReply(values=outputs["values"].cpu().numpy(), metrics=metrics)
+
+    def _decode(self, request: TokenRequest, inputs: dict[str, Tensor], check: Check) -> tuple[dict[str, Tensor], int]:
+        decoder, cache = self._decoder, self._cache
+        if cache is None or not 1 <= request.max_new_tokens <= self._model.max_new_tokens:
+            raise InvalidInputError(
+                f"{request.max_new_tokens} tokens were asked for, the model was loaded for "
+                f"1 to {self._model.max_new_tokens}."
+            )
+
+        def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
+            hidden = self._embed(held)
+            position = hidden.shape[1]
+            hidden = decoder(hidden, causal=True, cache=cache)[:, -1:]
+            logits = first = decoder.logits(hidden)[:, -1]
+            finite = torch.isfinite(logits).all()
+            tokens = [logits.argmax(dim=-1)]
+            while len(tokens) < request.max_new_tokens:
+                if self._graphs is None:
+                    check()
+                hidden = decoder.step(decoder.embed(tokens[-1])[None], position, cache)
+                logits = decoder.logits(hidden)[:, -1]
+                finite = finite & torch.isfinite(logits).all()
+                tokens.append(logits.argmax(dim=-1))
+                position += 1
+            return {"tokens": torch.cat(tokens), "logits": first[0], "finite": finite}
+
+        return self._execute(("tokens", request.max_new_tokens), compute, inputs)
+
+    def _read_rows(self, request: RowsRequest, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
+        decoder, back = self._decoder, self._back
+
+        def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
+            hidden = self._embed(held)
+            end = hidden.shape[1] - request.tail
+            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end))
+            end = hidden.shape[1] - request.tail
+            values = hidden[:, end - request.rows : end]
+            finite = torch.isfinite(values).all()
+            if request.read == "output" and back is not None:
+                values = back(values)
+                finite = finite & torch.isfinite(values).all()
+            elif request.read == "tokens":
+                logits = decoder.logits(values)
+                finite = finite & torch.isfinite(logits).all()
+                values = logits.argmax(dim=-1)
+            return {"values": values[0].float(), "finite": finite}
+
+        return self._execute(("rows", request.rows, request.tail, request.read), compute, inputs)
+
+    def _embed(self, held: dict[str, Tensor]) -> Tensor:
+        arrays = {name: tensor for name, tensor in held.items() if name != "ids"}
+        return self._front(arrays, held["ids"], self._decoder.embed)
+
+    def _execute(
+        self,
+        kind: tuple[str | int, ...],
+        compute: Callable[[dict[str, Tensor]], dict[str, Tensor]],
+        inputs: dict[str, Tensor],
+    ) -> tuple[dict[str, Tensor], int]:
+        if self._graphs is None:
+            return compute(inputs), self._decoder.visual_kept
+        key = (kind, tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())))
+        return self._graphs.run(key, compute, inputs, lambda: self._decoder.visual_kept)
+
+
+def release_memory() -> None:
+    """Give cached device memory back once an engine is gone."""
+    if torch.cuda.is_available():
+        torch.cuda.empty_cache()
+
+
+def _compile(decoder: Decoder) -> None:
+    """Compile what surrounds attention in each layer; layers are alike, so one compilation serves all."""
+    for layer in decoder.layers:
+        for name in ("project", "merge"):
+            setattr(layer, name, torch.compile(getattr(layer, name)))
+
+
+@contextmanager
+def _memory_errors(device: torch.device) -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
+            raise ConfigurationError(
+                f"Out of memory on {device}: {str(error).splitlines()[0]}",
+                hint="Free memory, choose a smaller dtype or another device.",
+            ) from error
+        raise
