@@ -1,0 +1,93 @@
+"""Descriptors, options and the contract kit for both backends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from rn_backend_pi0.options import Pi0Options, Pi0RemoteOptions
+from rn_backend_pi0.plugin import roboneuron_backends
+from roboneuron.contract import Observation
+from roboneuron.plugins.specs import BackendSpec
+from roboneuron.testing import BackendCase, BackendContract
+
+SPECS: dict[str, BackendSpec] = {spec.name: spec for spec in roboneuron_backends()}
+
+
+class TestNative(BackendContract):
+    """The native backend with a tiny checkpoint."""
+
+    @pytest.fixture
+    def plugin(self, tiny_checkpoint: Path, observe: Callable[..., Observation]) -> BackendCase:
+        options = {"checkpoint": str(tiny_checkpoint), "device": "cpu", "cpu_threads": 1}
+        return BackendCase(spec=SPECS["pi0"], options=options, observe=observe)
+
+
+class TestRemote(BackendContract):
+    """The remote backend with the stand-in server."""
+
+    @pytest.fixture
+    def plugin(self, policy_server: Any, observe: Callable[..., Observation]) -> BackendCase:
+        options = {
+            "url": policy_server.url,
+            "profile": "libero",
+            "image_keys": {"primary": "observation/image"},
+        }
+        return BackendCase(spec=SPECS["pi0-remote"], options=options, observe=observe)
+
+
+def test_listing_the_plugin_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, rn_backend_pi0.plugin as p; p.roboneuron_backends();"
+        "print([m for m in ('numpy', 'torch', 'pydantic', 'msgpack', 'websockets') if m in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert shown.stdout.strip() == "[]"
+
+
+def test_the_remote_backend_does_without_torch() -> None:
+    code = "import sys, rn_backend_pi0.remote, rn_backend_pi0.client; print('torch' in sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert shown.stdout.strip() == "False"
+
+
+def test_descriptors_say_what_the_backends_need() -> None:
+    for spec in SPECS.values():
+        assert spec.needs_state
+        assert (spec.cameras, spec.optional_cameras) == (("primary",), ("wrist",))
+        assert spec.family == ""
+    assert {r.module for r in SPECS["pi0"].requires} == {"torch", "safetensors", "tokenizers"}
+    assert {r.module for r in SPECS["pi0-remote"].requires} == {"msgpack", "websockets"}
+    assert SPECS["pi0"].needs_checkpoint
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"profile": "mars"},
+        {"profile": "own"},
+        {"profile": "libero", "state": {"terms": ["position"]}},
+        {"device": "tpu"},
+        {"dtype": "float8"},
+        {"action_steps": 0},
+        {"denoising_steps": 0},
+        {"noise": "fixed", "seed": None},
+        {"base_position_m": (float("nan"), 0.0, 0.0)},
+        {"surplus": 1},
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        Pi0Options(checkpoint=Path("x"), **options)
+
+
+@pytest.mark.parametrize("options", [{"url": "http://x"}, {"url": "x"}, {"image_keys": {}}, {"request_timeout_s": 0}])
+def test_wrong_remote_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        Pi0RemoteOptions(**options)

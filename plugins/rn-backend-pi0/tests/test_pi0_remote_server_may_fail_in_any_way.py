@@ -1,0 +1,353 @@
+"""The remote backend against a stand-in for openpi's server that dies, stalls, lies and comes back."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rn_backend_pi0.client import check_url, is_loopback
+from rn_backend_pi0.options import Pi0RemoteOptions
+from rn_backend_pi0.remote import Pi0RemoteBackend
+from roboneuron.contract import Observation
+from roboneuron.errors import ConfigurationError, NotReadyError, StateError, UngroundedError, UnsafeError
+
+Observe = Callable[..., Observation]
+TIMEOUT_S = 0.6
+SLACK_S = 1.0
+"""What scheduling on a busy machine may add to a bounded wait."""
+
+
+@pytest.fixture
+def options(policy_server: Any) -> Callable[..., Pi0RemoteOptions]:
+    """Makes options that point at the stand-in."""
+
+    def make(**changes: Any) -> Pi0RemoteOptions:
+        values = {
+            "url": policy_server.url,
+            "profile": "libero",
+            "image_keys": {"primary": "observation/image"},
+            "connect_timeout_s": 5.0,
+            "warm_up_timeout_s": 5.0,
+            "request_timeout_s": TIMEOUT_S,
+        }
+        return Pi0RemoteOptions(**(values | changes))
+
+    return make
+
+
+@pytest.fixture
+def backend(options: Callable[..., Pi0RemoteOptions]) -> Iterator[Pi0RemoteBackend]:
+    """A loaded backend."""
+    made = Pi0RemoteBackend(options())
+    made.load()
+    yield made
+    made.close()
+
+
+def _recovers(backend: Pi0RemoteBackend, observation: Observation) -> None:
+    """Predict again, asking anew while it says that it is not ready."""
+    deadline_s = time.monotonic() + 10.0
+    while True:
+        try:
+            assert backend.predict(observation).actions.shape[1] == 7
+            return
+        except NotReadyError:
+            assert time.monotonic() < deadline_s
+
+
+def test_a_request_holds_what_openpis_libero_client_sends(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+) -> None:
+    backend.predict(observe(primary=200, size=(112, 224), instruction="close the drawer"))
+    request = policy_server.requests[-1]
+    assert set(request) == {"observation/image", "observation/state", "prompt"}
+    image = request["observation/image"]
+    assert (image.dtype, image.shape) == (np.uint8, (224, 224, 3))
+    assert (image[0, 0, 0], image[112, 112, 0]) == (0, 200)  # black bars above and below
+    np.testing.assert_allclose(request["observation/state"], [0.4, 0, 0.5, np.pi, 0, 0, 0.04, -0.04], atol=1e-12)
+    assert request["prompt"] == "close the drawer"
+
+
+def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+) -> None:
+    actions = np.array([[1.0, 0, 0, 0, 0, 0.5, -1.0]] * 3, dtype=np.float32)
+    policy_server.answer = lambda request: {"actions": actions, "policy_timing": {"infer_ms": np.float64(12.5)}}
+    chunk = backend.predict(observe())
+    np.testing.assert_allclose(chunk.actions, [[0.05, 0, 0, 0, 0, 0.25, 1.0]] * 3, atol=1e-12)
+    assert chunk.metrics["server_ms"] == 12.5
+    assert chunk.metrics["inference_ms"] > 0
+    assert (chunk.step_s, chunk.note) == (0.05, "")
+
+
+def test_two_cameras_are_sent_and_a_missing_one_is_refused(
+    policy_server: Any, options: Callable[..., Pi0RemoteOptions], observe: Observe
+) -> None:
+    keys = {"primary": "observation/image", "wrist": "observation/wrist_image"}
+    backend = Pi0RemoteBackend(options(image_keys=keys, action_steps=2, image_flip="rotate-180"))
+    backend.load()
+    assert backend.predict(observe(wrist=7)).actions.shape == (2, 7)
+    assert policy_server.requests[-1]["observation/wrist_image"].max() == 7
+    with pytest.raises(UngroundedError, match="wrist"):
+        backend.predict(observe())
+    backend.close()
+
+
+def test_a_server_that_dies_mid_request_is_reported_and_found_again(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+) -> None:
+    good = policy_server.answer
+    policy_server.answer = lambda request: policy_server.stop()
+    with pytest.raises(NotReadyError, match="broke"):
+        backend.predict(observe())
+    with pytest.raises(NotReadyError, match=r"did not answer within 0\.6 s"):
+        backend.predict(observe())
+    policy_server.answer = good
+    policy_server.start()
+    _recovers(backend, observe())
+    assert backend.predict(observe()).metrics["connections"] == 2
+
+
+def test_a_failed_request_is_not_sent_again(policy_server: Any, backend: Pi0RemoteBackend, observe: Observe) -> None:
+    before = len(policy_server.requests)
+    policy_server.answer = lambda request: policy_server.cut()
+    with pytest.raises(NotReadyError):
+        backend.predict(observe())
+    assert len(policy_server.requests) == before + 1
+
+
+def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+) -> None:
+    released = policy_server.released
+
+    def slow(request: dict[Any, Any]) -> dict[str, Any]:
+        released.wait(2 * TIMEOUT_S)
+        return {"actions": np.full((1, 7), 0.5)}
+
+    policy_server.answer = slow
+    start = time.monotonic()
+    with pytest.raises(NotReadyError, match="no answer within"):
+        backend.predict(observe())
+    assert time.monotonic() - start < TIMEOUT_S + SLACK_S
+    policy_server.answer = lambda request: {"actions": np.zeros((1, 7))}
+    released.set()
+    _recovers(backend, observe())
+    assert backend.predict(observe()).actions[0, 0] == 0.0
+
+
+def test_a_half_open_connection_ends_in_time(options: Callable[..., Pi0RemoteOptions], observe: Observe) -> None:
+    # A peer that answers the handshake and the warm-up, then neither reads nor writes, through a tiny relay.
+    with _Relay(options().url) as relay:
+        backend = Pi0RemoteBackend(options(url=relay.url, image_side_px=1024))
+        backend.load()
+        relay.freeze()
+        start = time.monotonic()
+        with pytest.raises(NotReadyError):
+            backend.predict(observe())
+        assert time.monotonic() - start < 2 * TIMEOUT_S + SLACK_S
+        backend.close()
+        assert time.monotonic() - start < 2 * TIMEOUT_S + 2 * SLACK_S
+
+
+def test_a_traceback_frame_is_shown_by_its_last_line(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, caplog: pytest.LogCaptureFixture
+) -> None:
+    good = policy_server.answer
+
+    def fail(request: dict[Any, Any]) -> dict[str, Any]:
+        raise ValueError("state has 7 values, expected 8")
+
+    policy_server.answer = fail
+    with pytest.raises(NotReadyError, match="ValueError: state has 7 values, expected 8"):
+        backend.predict(observe())
+    assert "Traceback" in caplog.text
+    policy_server.answer = good
+    _recovers(backend, observe())
+
+
+@pytest.mark.parametrize(
+    ("reply", "word"),
+    [
+        (b"\xc1\xc1", "not openpi's format"),
+        (b"\x81", "not openpi's format"),
+        ([1, 2], "expected a map"),
+        ({"action": np.zeros((1, 7))}, "no array 'actions'"),
+        ({"actions": [[0.0] * 7]}, "no array 'actions'"),
+        ({"actions": np.zeros((5, 8))}, r"shape \(5, 8\)"),
+        ({"actions": np.zeros(7)}, "shape"),
+        ({"actions": np.zeros((0, 7))}, "shape"),
+        ({"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "|O", b"shape": [1]}}, "not a number type"),
+        ({"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "<f8", b"shape": [9, 7]}}, "4 bytes"),
+    ],
+)
+def test_a_malformed_answer_is_refused(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, reply: Any, word: str
+) -> None:
+    policy_server.answer = lambda request: reply
+    with pytest.raises(ConfigurationError, match=word):
+        backend.predict(observe())
+    policy_server.answer = lambda request: {"actions": np.zeros((1, 7))}
+    _recovers(backend, observe())
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_non_finite_actions_are_unsafe(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, bad: float
+) -> None:
+    policy_server.answer = lambda request: {"actions": np.full((2, 7), bad)}
+    with pytest.raises(UnsafeError, match="non-finite"):
+        backend.predict(observe())
+
+
+def test_what_does_not_fit_is_found_by_load(policy_server: Any, options: Callable[..., Pi0RemoteOptions]) -> None:
+    policy_server.answer = lambda request: {"actions": np.zeros((10, 8))}
+    with pytest.raises(ConfigurationError, match="8"):
+        Pi0RemoteBackend(options()).load()
+    policy_server.answer = lambda request: {"actions": np.full((10, 7), np.nan)}
+    with pytest.raises(UnsafeError):
+        Pi0RemoteBackend(options()).load()
+    policy_server.answer = lambda request: {"actions": np.zeros((2, 7))}
+    with pytest.raises(ConfigurationError, match="action_steps"):
+        Pi0RemoteBackend(options(action_steps=3)).load()
+    with pytest.raises(ConfigurationError, match="choose one of"):
+        Pi0RemoteBackend(options(profile=None)).load()
+    with pytest.raises(ConfigurationError, match="server has done already"):
+        Pi0RemoteBackend(options(profile="libero-openpi")).load()
+    policy_server.metadata = "Traceback\nRuntimeError: no GPU"
+    with pytest.raises(NotReadyError, match="no GPU"):
+        Pi0RemoteBackend(options()).load()
+
+
+def test_an_absent_server_is_reported_in_time(options: Callable[..., Pi0RemoteOptions]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        free = listener.getsockname()[1]
+    start = time.monotonic()
+    with pytest.raises(NotReadyError, match=r"did not answer within 0\.3 s"):
+        Pi0RemoteBackend(options(url=f"ws://127.0.0.1:{free}", connect_timeout_s=0.3)).load()
+    assert time.monotonic() - start < 0.3 + SLACK_S
+
+
+def test_something_else_that_listens_is_reported_in_time(options: Callable[..., Pi0RemoteOptions]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(NotReadyError, match="did not answer"):
+            Pi0RemoteBackend(options(url=url, connect_timeout_s=0.3)).load()
+
+
+def test_the_key_travels_in_the_header_and_comes_from_the_environment(
+    policy_server: Any, options: Callable[..., Pi0RemoteOptions], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = Pi0RemoteBackend(options(api_key_variable="PI0_TEST_KEY"))
+    monkeypatch.delenv("PI0_TEST_KEY", raising=False)
+    with pytest.raises(ConfigurationError, match="PI0_TEST_KEY"):
+        backend.load()
+    monkeypatch.setenv("PI0_TEST_KEY", "secret")
+    backend.load()
+    assert policy_server.headers[-1]["Authorization"] == "Api-Key secret"
+    backend.close()
+
+
+def test_an_unencrypted_remote_url_is_warned_about_and_gets_no_key() -> None:
+    assert check_url("ws://127.0.0.1:8000", has_key=True, allow_insecure_key=False) == ""
+    assert check_url("wss://robots.example", has_key=True, allow_insecure_key=False) == ""
+    assert "not encrypted" in check_url("ws://10.0.0.5:8000", has_key=False, allow_insecure_key=False)
+    assert "not encrypted" in check_url("ws://10.0.0.5:8000", has_key=True, allow_insecure_key=True)
+    with pytest.raises(ConfigurationError, match="unencrypted"):
+        check_url("ws://10.0.0.5:8000", has_key=True, allow_insecure_key=False)
+    for url in ("ws://user:secret@host:1", "ws://host:99999", "ws://:80"):
+        with pytest.raises(ConfigurationError) as caught:
+            check_url(url, has_key=False, allow_insecure_key=False)
+        assert "secret" not in str(caught.value)
+
+
+def test_the_warning_is_logged_and_shown_in_every_chunk(
+    options: Callable[..., Pi0RemoteOptions],
+    observe: Observe,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rn_backend_pi0.client.is_loopback", lambda host: False)
+    backend = Pi0RemoteBackend(options())
+    with caplog.at_level(logging.WARNING):
+        backend.load()
+    assert "not encrypted" in caplog.text
+    assert "not encrypted" in backend.predict(observe()).note
+    backend.close()
+
+
+def test_loopback_is_recognised_by_the_address_alone() -> None:
+    assert all(is_loopback(host) for host in ("localhost", "127.0.0.1", "127.8.8.8", "::1"))
+    assert not any(is_loopback(host) for host in ("10.0.0.1", "localhost.example", "0.0.0.0", "robot"))
+
+
+def test_predict_is_refused_before_load_and_after_close(backend: Pi0RemoteBackend, observe: Observe) -> None:
+    backend.close()
+    backend.close()
+    for made in (backend, Pi0RemoteBackend(Pi0RemoteOptions(profile="libero"))):
+        with pytest.raises(StateError):
+            made.predict(observe())
+
+
+class _Relay:
+    """Passes bytes between a client and the stand-in until it is frozen; then it leaves everything lying."""
+
+    def __init__(self, url: str) -> None:
+        self._target = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._frozen, self._ended = threading.Event(), threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> _Relay:
+        self._spawn(self._accept)
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(5.0)
+        self._listener.close()
+
+    def freeze(self) -> None:
+        """From now on nothing is read."""
+        self._frozen.set()
+
+    def _spawn(self, target: Callable[..., None], *args: object) -> None:
+        thread = threading.Thread(target=target, args=args, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _accept(self) -> None:
+        self._listener.settimeout(5.0)
+        client, _ = self._listener.accept()
+        server = socket.create_connection(self._target)
+        self._spawn(self._pump, client, server)
+        self._spawn(self._pump, server, client)
+        self._ended.wait(30.0)
+        client.close()
+        server.close()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        source.settimeout(0.05)
+        while not self._ended.is_set():
+            if self._frozen.is_set():
+                self._ended.wait(30.0)
+                return
+            try:
+                data = source.recv(65536)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            if not data:
+                return
+            sink.sendall(data)
