@@ -119,11 +119,16 @@ def test_driver_can_be_closed_twice_and_opened_again(topics: MemoryTopics) -> No
             driver.read()
 
 
-def test_window_without_a_display_is_refused(topics: MemoryTopics, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+@pytest.mark.parametrize("display", [None, ":4711"])
+def test_window_without_a_display_is_refused(
+    topics: MemoryTopics, monkeypatch: pytest.MonkeyPatch, display: str | None
+) -> None:
+    if display is None:
+        monkeypatch.delenv("DISPLAY", raising=False)
+    else:
+        monkeypatch.setenv("DISPLAY", display)
     driver = SimulatedDriver(SimulatedDriverOptions(gui=True), profile(), topics)
-    with pytest.raises(ConfigurationError, match="display"):
+    with pytest.raises(ConfigurationError, match="gui = false"):
         driver.open()
     driver.close()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ import pybullet_data
 from numpy.typing import NDArray
 
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
+from rn_robot_fr3.display import check_display
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT
 from rn_robot_fr3.renderer import render
 from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
@@ -35,11 +35,7 @@ _VELOCITY_GAINS = [1.0] * 9
 
 
 def _gui_client() -> int:
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ConfigurationError(
-            "The simulation was asked for a window (gui = true), but there is no display.",
-            hint="Set gui = false, or DISPLAY to an X server.",
-        )
+    check_display()
     client = int(pybullet.connect(pybullet.GUI))
     if client < 0:
         raise ConfigurationError("PyBullet could not open a window on the display.", hint="Set gui = false.")
