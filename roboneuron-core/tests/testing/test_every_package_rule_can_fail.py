@@ -58,7 +58,7 @@ class Sample:
 
 @pytest.fixture
 def sample(tmp_path: Path) -> Sample:
-    made = Sample(tmp_path / "site")
+    made = Sample(tmp_path / "sample")
     made.package.mkdir(parents=True)
     made.info.mkdir()
     (made.package / "__init__.py").write_text('"""A sample."""\n')
