@@ -1,0 +1,58 @@
+"""What the README tells a new user to do works: client configuration blocks, commands, links."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+
+from roboneuron.cli.commands import COMMANDS
+from roboneuron.config import default_text
+
+
+def blocks(root: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("index", [0, 1])
+def test_client_configuration_block_launches_the_server(
+    root: Path, environment: dict[str, str], tmp_path: Path, index: int
+) -> None:
+    entry = json.loads(blocks(root, "json")[index])["mcpServers"]["roboneuron"]
+    (tmp_path / "roboneuron.toml").write_text(default_text(), encoding="utf-8")
+    parameters = StdioServerParameters(
+        command=entry["command"],
+        args=entry["args"],
+        env=environment | entry.get("env", {}),
+        cwd=tmp_path,
+    )
+
+    async def tools() -> set[str]:
+        async with Client(parameters) as client:
+            return {tool.name for tool in (await client.list_tools()).tools}
+
+    assert {"start_robot", "start_inference", "get_status", "emergency_stop"} <= anyio.run(tools)
+
+
+def test_every_command_in_the_readme_exists(root: Path) -> None:
+    text = (root / "README.md").read_text(encoding="utf-8")
+    used = set(re.findall(r"(?:^|`)roboneuron ([a-z]+)", text, re.MULTILINE))
+    assert used
+    assert used <= set(COMMANDS)
+    targets = set(re.findall(r"make ([a-z-]+)", " ".join(blocks(root, "bash"))))
+    makefile = (root / "Makefile").read_text(encoding="utf-8")
+    assert {t for t in targets if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *sorted(p.name for p in (Path(__file__).parents[1] / "docs").glob("*.md"))]
+)
+def test_links_point_at_files_that_exist(root: Path, page: str) -> None:
+    path = root / page if page == "README.md" else root / "docs" / page
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text(encoding="utf-8")):
+        assert (path.parent / target).exists(), f"{page} links to {target}, which is not there"
