@@ -32,11 +32,13 @@ from roboneuron.contract.protocols import (
     Runtime,
     Topics,
 )
+from roboneuron.contract.twist import TWIST_FIELDS, check_twist
 
 __all__ = [
     "ACTION_FIELDS",
     "ACTION_LABEL",
     "ACTION_SIZE",
+    "TWIST_FIELDS",
     "Acceleration",
     "Action",
     "ActionChunk",
@@ -63,5 +65,6 @@ __all__ = [
     "apply_delta",
     "check_action_vector",
     "check_rgb8",
+    "check_twist",
     "frame_from_buffer",
 ]

@@ -103,6 +103,9 @@ class Endpoint:
         rate_hz: most calls per second; 0 means no bound.
         stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
+        min_turning_radius_m: of a base that steers like a car; its twists obey `check_twist`. 0: it turns on the spot.
+        repeat_hz: a value that is to last is sent again this often, because the robot stops when messages cease;
+            repetitions do not count against `rate_hz`. 0: it is sent once.
     """
 
     name: str
@@ -114,6 +117,8 @@ class Endpoint:
     rate_hz: float = 0.0
     stop_message: str = ""
     joint_limited: bool = False
+    min_turning_radius_m: float = 0.0
+    repeat_hz: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
