@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import torch
 from safetensors import safe_open
 
 from rn_backend_oft.constants import CONSTANTS

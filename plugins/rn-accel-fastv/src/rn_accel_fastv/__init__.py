@@ -1,0 +1,1 @@
+"""FastV: drop the visual tokens that the decoder hardly looks at."""

@@ -1,0 +1,25 @@
+"""Options of the presets."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class PresetConfig(BaseModel):
+    """Options of the presets with a named share."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    k: Annotated[int, Field(ge=1)] = 2
+    """Layers that see all visual tokens; the attention of the last of them decides."""
+    query: Literal["last", "actions"] = "last"
+    """Whose attention counts: the last position (as published), or the mean over the action rows of OpenVLA-OFT."""
+
+
+class FastVConfig(PresetConfig):
+    """Options of `fastv`."""
+
+    r: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
+    """Share of the visual tokens that is dropped."""

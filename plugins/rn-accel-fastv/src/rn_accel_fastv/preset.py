@@ -1,0 +1,65 @@
+"""The presets; they follow `roboneuron.contract.Acceleration`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rn_accel_fastv.config import FastVConfig, PresetConfig
+from rn_runtime_torch.pruning import PrunableDecoder
+from roboneuron.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rn_runtime_torch.pruning import PrunableDecoder
+
+
+class _Preset:
+    def __init__(self, config: PresetConfig, share: float) -> None:
+        self._config = config
+        self._share = share
+
+    def apply(self, decoder: PrunableDecoder) -> None:
+        """Install the selection of visual tokens.
+
+        Raises:
+            ConfigurationError: the decoder has no such hook, or no layer k.
+        """
+        if not callable(getattr(decoder, "install_selection", None)):
+            raise ConfigurationError(
+                f"FastV cannot be installed into a {type(decoder).__name__}: it cannot drop visual tokens.",
+                hint='Choose a runtime with the capability "visual-token-pruning", such as torch.',
+            )
+        from rn_accel_fastv.selection import AttendedTokens  # heavy: torch
+
+        decoder.install_selection(AttendedTokens(self._config.k, self._share, self._config.query))
+
+
+class FastV(_Preset):
+    """A free share."""
+
+    def __init__(self, config: FastVConfig) -> None:
+        super().__init__(config, config.r)
+
+
+class _Named(_Preset):
+    share: ClassVar[float]
+
+    def __init__(self, config: PresetConfig | None = None) -> None:
+        super().__init__(config or PresetConfig(), self.share)
+
+
+class FastVP25(_Named):
+    """A quarter is dropped."""
+
+    share: ClassVar[float] = 0.25
+
+
+class FastVP50(_Named):
+    """Half is dropped."""
+
+    share: ClassVar[float] = 0.5
+
+
+class FastVP75(_Named):
+    """Three quarters are dropped."""
+
+    share: ClassVar[float] = 0.75
