@@ -30,5 +30,6 @@ COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
+    "new": Command("roboneuron.cli.new", "write a plugin package that passes its contract tests"),
 }
 """Command by name, in the order of `roboneuron --help`."""

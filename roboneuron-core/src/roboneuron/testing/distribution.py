@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import json
 import os
 import re
@@ -106,8 +107,9 @@ def requirements(case: PackageCase) -> frozenset[str]:
     return frozenset(normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines)
 
 
+@functools.lru_cache(maxsize=16)
 def probe(case: PackageCase, module: str) -> Probe:
-    """Import `module` in a fresh interpreter; raises Violation when that fails."""
+    """Import `module` in a fresh interpreter, once per case; raises Violation when that fails."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     try:
         done = subprocess.run(
