@@ -20,6 +20,11 @@ class Options(BaseModel):
     checkpoint: Path | None = None
     sizes: tuple[int, ...] = ()
 
+class Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    checkpoint: Path
+    inner: Options = Options()
+
 class Servo: ...
 """
 
@@ -103,3 +108,15 @@ def test_load_options_without_a_model_takes_none():
 def test_load_options_refuses_a_model_that_is_no_pydantic_model(servo):
     with pytest.raises(PluginError, match="expected a pydantic BaseModel"):
         load_options(_spec("m:X", config="servo_module:Servo"), {})
+
+
+def test_load_options_names_what_is_required(servo):
+    strict = _spec("m:X", config="servo_module:Strict")
+    with pytest.raises(ConfigurationError, match=r"plugins\.x\.checkpoint is required and not given"):
+        load_options(strict, {})
+
+
+def test_load_options_refuses_unknown_keys_inside_sections(servo):
+    strict = _spec("m:X", config="servo_module:Strict")
+    with pytest.raises(ConfigurationError, match=r"plugins\.x\.inner\.gian is 2: Extra inputs are not permitted"):
+        load_options(strict, {"checkpoint": "/c", "inner": {"gian": 2}})

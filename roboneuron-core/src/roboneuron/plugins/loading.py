@@ -114,7 +114,10 @@ def _explain(error: ValidationError, place: str) -> str:
     parts: list[str] = []
     for problem in error.errors(include_url=False, include_context=False):
         path = ".".join([place, *(str(step) for step in problem["loc"])])
-        parts.append(f"{path} is {problem['input']!r}: {problem['msg']}.")
+        if problem["type"] == "missing":
+            parts.append(f"{path} is required and not given.")
+        else:
+            parts.append(f"{path} is {problem['input']!r}: {problem['msg']}.")
     return " ".join(parts)
 
 
