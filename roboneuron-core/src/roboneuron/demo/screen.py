@@ -71,15 +71,15 @@ class Screen:
     def summary(self, modules: Sequence[Mapping[str, Any]]) -> None:
         """Rates and latencies of the modules while they worked."""
         table = Table(title="While it worked", title_style="bold", title_justify="left", header_style="dim")
-        table.add_column("process")
-        for column in ("pid", "rate", "latency", "p99", "published", "dropped"):
-            table.add_column(column, justify="right")
-        table.add_column("latency is the time", style="dim")
+        table.add_column("process", no_wrap=True)
+        for column in ("pid", "rate", "median", "p99", "sent", "dropped"):
+            table.add_column(column, justify="right", no_wrap=True)
+        table.add_column("time between", style="dim", no_wrap=True)
         meaning = {
-            "robot": "from command sent to command received",
-            "perception": "from capture to image sent",
-            "control": "from action sent to command sent",
-            "inference": "from capture to action sent",
+            "robot": "command and its execution",
+            "perception": "capture and image",
+            "control": "action and command",
+            "inference": "capture and action",
         }
         for name in _MODULES:
             module = next((m for m in modules if m.get("module") == name), None)
