@@ -15,7 +15,7 @@ CAR = Endpoint(
     topic="cmd_vel",
     type="geometry_msgs/msg/Twist",
     summary="Drive.",
-    bounds={path: (0.0, 0.0) for path in TWIST_FIELDS} | {"linear.x": (-1.0, 2.0), "angular.z": (-1.5, 1.5)},
+    bounds=dict.fromkeys(TWIST_FIELDS, (0.0, 0.0)) | {"linear.x": (-1.0, 2.0), "angular.z": (-1.5, 1.5)},
     min_turning_radius_m=0.5,
 )
 
