@@ -33,7 +33,7 @@ class DecodeLimits:
         image_side_px: images are scaled down to this longest side.
     """
 
-    items: int | None = 32
+    items: int | None = 64
     first: int = 8
     text: int | None = 2000
     values: int | None = 2000

@@ -36,11 +36,18 @@ def summarize_numbers(values: NDArray[Any], first: Sequence[Plain]) -> Plain:
         exact = values.dtype.kind != "f"
         low, high = finite.min().item(), finite.max().item()
         summary["min"], summary["max"] = (low, high) if exact else (to_number(low), to_number(high))
-        summary["mean"] = to_number(float(np.mean(finite, dtype=np.float64)))
+        summary["mean"] = to_number(_mean(finite))
     if finite.size != values.size:
         summary["nonfinite"] = int(values.size - finite.size)
     summary["first"] = list(first)
     return summary
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """The mean in float64, also where the sum would overflow."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = float(np.mean(values, dtype=np.float64))
+    return mean if math.isfinite(mean) else float(np.sum(values.astype(np.float64) / values.size))
 
 
 def summarize_scan(scan: Any, limits: DecodeLimits) -> Plain:
