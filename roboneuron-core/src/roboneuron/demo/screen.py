@@ -74,13 +74,6 @@ class Screen:
         table.add_column("process", no_wrap=True)
         for column in ("pid", "rate", "median", "p99", "sent", "dropped"):
             table.add_column(column, justify="right", no_wrap=True)
-        table.add_column("time between", style="dim", no_wrap=True)
-        meaning = {
-            "robot": "command and its execution",
-            "perception": "capture and image",
-            "control": "action and command",
-            "inference": "capture and action",
-        }
         for name in _MODULES:
             module = next((m for m in modules if m.get("module") == name), None)
             if module is None:
@@ -93,10 +86,14 @@ class Screen:
                 _unit(module.get("latency_p99_ms"), "ms", 1),
                 str(module.get("published", "")),
                 str(module.get("dropped", "")),
-                meaning[name],
             )
         self.console.print()
         self.console.print(table)
+        self.console.print(
+            "  median and p99: from capture to image (perception) or action (inference),\n"
+            "  from action to command (control), from command to its execution (robot)",
+            style="dim",
+        )
 
 
 def _bar(value: float, goal: float) -> ProgressBar:
