@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -112,19 +113,22 @@ class PolicyServer:
         self.headers: list[Any] = []
         self.connection: ServerConnection | None = None
         self.released = threading.Event()
+        self.tls: ssl.SSLContext | None = None
         self._server: Server | None = None
         self.port = 0
 
     @property
     def url(self) -> str:
-        return f"ws://127.0.0.1:{self.port}"
+        return f"{'wss' if self.tls else 'ws'}://127.0.0.1:{self.port}"
 
     def start(self) -> None:
         """Listen; the second time on the same port as before."""
         deadline_s = time.monotonic() + 5.0
         while True:
             try:
-                self._server = serve(self._handle, "127.0.0.1", self.port, compression=None, max_size=None)
+                self._server = serve(
+                    self._handle, "127.0.0.1", self.port, compression=None, max_size=None, ssl=self.tls
+                )
                 break
             except OSError:
                 if time.monotonic() > deadline_s:

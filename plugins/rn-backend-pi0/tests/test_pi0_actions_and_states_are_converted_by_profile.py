@@ -43,7 +43,8 @@ LAYOUTS = [
 
 
 def _to(layout: ActionLayout, raw: list[float], pose: Pose | None = None, state: np.ndarray = NO_STATE) -> np.ndarray:
-    return layout.to_contract(np.array([raw]), state=state, pose=pose, base_position_m=ORIGIN)[0]
+    out: np.ndarray = layout.to_contract(np.array([raw]), state=state, pose=pose, base_position_m=ORIGIN)[0]
+    return out
 
 
 @settings(max_examples=25, deadline=None)

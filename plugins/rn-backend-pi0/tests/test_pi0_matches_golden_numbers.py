@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from rn_backend_pi0.image import resize_antialiased, resize_plain, to_pixels
 from rn_backend_pi0.layouts import read_checkpoint
@@ -118,3 +119,14 @@ def test_bfloat16_stays_near_float32(golden_directory: Path, golden: Arrays) -> 
     error = np.abs(_run(narrow, golden, "main") - golden["out/main/actions_norm_lerobot"])
     # bfloat16 has 8 bits of mantissa: some 0.4 % per operation of values around 1.
     assert 0 < error.mean() < 0.05
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_gpu_in_float32_gives_the_golden_actions(golden_directory: Path, golden: Arrays) -> None:
+    model = Pi0Model(read_checkpoint(golden_directory), device="cuda", dtype="float32")
+    for case in CASES:
+        # Other kernels sum in another order; TF32 is off unless somebody turns it on.
+        expected = golden[f"out/{case}/actions_norm_lerobot"]
+        np.testing.assert_allclose(_run(model, golden, case), expected, atol=2e-4, rtol=0)
+    model.release()

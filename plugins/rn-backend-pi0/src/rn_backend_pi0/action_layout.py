@@ -64,22 +64,11 @@ class ActionLayout:
         if self.limit:
             moves = np.clip(moves, -self.limit, self.limit)
         translations, rotations = moves[:, :3] * self.translation_scale_m, moves[:, 3:] * self.rotation_scale_rad
-        matrices = [self._matrix(rotation) for rotation in rotations]
         out = np.empty((len(raw), ACTION_SIZE))
-        if self.meaning == "absolute":
-            previous = self._needed(pose)
-            position, rotation = previous.position_m, matrix_from_quaternion(previous.quaternion_xyzw)
-            for row, target, matrix in zip(out, translations - base_position_m, matrices, strict=True):
-                row[:3], row[3:6] = target - position, rotvec_from_matrix(matrix @ rotation.T)
-                position, rotation = target, matrix
-        elif self.frame == "tcp":
-            rotation = matrix_from_quaternion(self._needed(pose).quaternion_xyzw)
-            for row, delta, matrix in zip(out, translations, matrices, strict=True):
-                row[:3], row[3:6] = rotation @ delta, rotation @ rotvec_from_matrix(matrix)
-                rotation = rotation @ matrix
+        if self.meaning == "delta" and self.frame == "base":
+            out[:, :3], out[:, 3:6] = translations, self._rotation_vectors(rotations)
         else:
-            out[:, :3] = translations
-            out[:, 3:6] = [rotvec_from_matrix(matrix) for matrix in matrices]
+            self._follow(out, translations, rotations, self._needed(pose), base_position_m)
         out[:, 6] = np.clip(self._opening(raw[:, 6]), 0.0, 1.0)
         return out
 
@@ -107,6 +96,25 @@ class ActionLayout:
             raw[:, :6] -= state[:6]
         raw[:, 6] = self._gripper_value(actions[:, 6])
         return raw
+
+    def _rotation_vectors(self, rotations: F64) -> F64:
+        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long stay as they are."""
+        if self.rotation == "rotvec" and (np.linalg.norm(rotations, axis=1) <= np.pi).all():
+            return rotations
+        return np.array([rotvec_from_matrix(self._matrix(rotation)) for rotation in rotations])
+
+    def _follow(self, out: F64, translations: F64, rotations: F64, pose: Pose, base_position_m: F64) -> None:
+        """Write base-frame deltas into `out`, each from where the one before it leads, starting at `pose`."""
+        position, orientation = pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
+        for row, translation, rotation in zip(out, translations, rotations, strict=True):
+            matrix = self._matrix(rotation)
+            if self.meaning == "absolute":
+                target = translation - base_position_m
+                row[:3], row[3:6] = target - position, rotvec_from_matrix(matrix @ orientation.T)
+                position, orientation = target, matrix
+            else:
+                row[:3], row[3:6] = orientation @ translation, orientation @ rotvec_from_matrix(matrix)
+                orientation = orientation @ matrix
 
     def _matrix(self, rotation: F64) -> F64:
         return matrix_from_rotvec(rotation) if self.rotation == "rotvec" else matrix_from_rpy(rotation)

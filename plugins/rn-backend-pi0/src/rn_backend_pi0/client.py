@@ -5,11 +5,11 @@ from __future__ import annotations
 import ipaddress
 import logging
 import socket
-import struct
+import ssl
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -104,18 +104,18 @@ class PolicyClient:
         if connection is None:
             raise NotReadyError(f"There is no connection to {self._url}.")
         deadline_s = time.monotonic() + timeout_s
+        late = threading.Event()
         try:
-            _bound_sending(connection.socket, timeout_s)
-            connection.send(pack(request))
+            with _shut_after(connection.socket, timeout_s, late):
+                connection.send(pack(request))
             reply = connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
-        except TimeoutError as error:
-            self._drop()
-            raise NotReadyError(
-                f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
-                hint="It may be overloaded or gone; raise request_timeout_s if its inference takes longer.",
-            ) from error
         except (OSError, WebSocketException) as error:
             self._drop()
+            if late.is_set() or isinstance(error, TimeoutError):
+                raise NotReadyError(
+                    f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
+                    hint="It may be overloaded or gone; raise request_timeout_s if its inference takes longer.",
+                ) from error
             raise NotReadyError(f"The connection to {self._url} broke: {_reason(error)}.") from error
         return self._decoded(reply)
 
@@ -164,6 +164,11 @@ class PolicyClient:
             raise ConfigurationError(
                 f"{self._url!r} is not a websocket URL.", hint="Correct the option 'url'."
             ) from error
+        if isinstance(error, ssl.SSLCertVerificationError):
+            raise ConfigurationError(
+                f"The certificate of {self._url} is not trusted: {error.verify_message}.",
+                hint="Name the host as its certificate does, or add its authority with SSL_CERT_FILE.",
+            ) from error
         if isinstance(error, InvalidStatus) and error.response.status_code in _UNAUTHORIZED:
             raise ConfigurationError(
                 f"The policy server at {self._url} refused the key (HTTP {error.response.status_code}).",
@@ -208,15 +213,26 @@ def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
     )
 
 
-def _bound_sending(plain: socket.socket, timeout_s: float) -> None:
-    """Make the kernel give up a blocked write after `timeout_s`; websockets itself would wait for ever.
+@contextmanager
+def _shut_after(plain: socket.socket, timeout_s: float, late: threading.Event) -> Iterator[None]:
+    """Shut the socket when the body takes longer than `timeout_s`, and set `late`.
 
-    The option takes a struct timeval: two C longs on 64-bit Linux.
+    websockets bounds receiving but not sending: a peer that reads nothing would block it for ever.
     """
-    timeout_s = max(timeout_s, 1e-3)
-    seconds = int(timeout_s)
-    value = struct.pack("@ll", seconds, max(1, int((timeout_s - seconds) * 1e6)))
-    plain.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, value)
+
+    def shut() -> None:
+        late.set()
+        with suppress(OSError):
+            plain.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(max(0.0, timeout_s), shut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
 
 
 def _reason(error: Exception) -> str:

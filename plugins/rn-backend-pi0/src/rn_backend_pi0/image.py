@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,16 @@ def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.i
     return lower, np.minimum(lower + 1, size - 1), (position - lower).astype(np.float32)
 
 
+def _mix(first: NDArray[Any], second: NDArray[Any], weight: F32) -> F32:
+    """first + weight (second - first) in float32."""
+    base = first.astype(np.float32)
+    out = second.astype(np.float32)
+    out -= base
+    out *= weight
+    out += base
+    return out
+
+
 def resize_plain(image: U8, side: int) -> F32:
     """uint8 (H, W, 3) -> float32 (side, side, 3) in 0..255, bilinear without antialiasing, centred on black.
 
@@ -62,11 +72,13 @@ def resize_plain(image: U8, side: int) -> F32:
         return image.astype(np.float32)
     inner_height, inner_width, top, left = _fitted(height, width, side)
     inner_height, inner_width = max(1, inner_height), max(1, inner_width)
-    low, high, weight = _sample_axis(height, inner_height)
-    rows = image[low].astype(np.float32)
-    rows += weight[:, None, None] * (image[high].astype(np.float32) - rows)
-    low, high, weight = _sample_axis(width, inner_width)
-    pixels = rows[:, low] + weight[None, :, None] * (rows[:, high] - rows[:, low])
+    top_rows, bottom_rows, row_weight = _sample_axis(height, inner_height)
+    left_columns, right_columns, column_weight = _sample_axis(width, inner_width)
+    upper, lower = (
+        _mix(rows[:, left_columns], rows[:, right_columns], column_weight[None, :, None])
+        for rows in (image[top_rows], image[bottom_rows])
+    )
+    pixels = _mix(upper, lower, row_weight[:, None, None])
     canvas = np.zeros((side, side, 3), dtype=np.float32)
     canvas[top : top + inner_height, left : left + inner_width] = pixels
     return canvas
@@ -75,5 +87,9 @@ def resize_plain(image: U8, side: int) -> F32:
 def to_pixels(image: U8, *, side: int, resize: Resize, flip: Flip) -> F32:
     """uint8 RGB (H, W, 3) -> float32 (3, side, side) in -1..1."""
     turned = flip_image(image, flip)
-    square = resize_plain(turned, side) if resize == "plain" else resize_antialiased(turned, side).astype(np.float32)
-    return np.ascontiguousarray((square / np.float32(255.0) * 2.0 - 1.0).transpose(2, 0, 1), dtype=np.float32)
+    square = resize_plain(turned, side) if resize == "plain" else resize_antialiased(turned, side)
+    pixels = np.empty((3, side, side), dtype=np.float32)
+    np.divide(square.transpose(2, 0, 1), np.float32(255.0), out=pixels)
+    pixels *= 2.0
+    pixels -= 1.0
+    return pixels

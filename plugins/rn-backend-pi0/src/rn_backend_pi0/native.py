@@ -155,19 +155,19 @@ class Pi0Backend:
         )
         if not np.isfinite(normalized).all():
             raise UnsafeError("The pi0 model produced non-finite values; nothing is executed.")
-        raw = model.action.head(ACTION_SIZE).denormalize(normalized[:, :ACTION_SIZE]).astype(np.float64)
-        actions = profile.action.to_contract(raw, state=state, pose=observation.ee_pose, base_position_m=base)
         steps = self._config.action_steps or model.checkpoint.action_steps
+        raw = model.action.head(ACTION_SIZE).denormalize(normalized[:steps, :ACTION_SIZE]).astype(np.float64)
+        actions = profile.action.to_contract(raw, state=state, pose=observation.ee_pose, base_position_m=base)
         deviation = float(np.abs(model.state.head(len(narrow)).normalize(narrow)).max())
         note = ""
         if deviation > _FAR_FROM_TRAINING:
             note = f"proprioception is {deviation:.0f} standard deviations from the training data; check the profile"
         return ActionChunk(
-            actions=actions[:steps],
+            actions=actions,
             step_s=profile.action.step_s,
             metrics={
                 "inference_ms": (time.perf_counter() - start) * 1e3,
-                "chunk_horizon": float(len(actions[:steps])),
+                "chunk_horizon": float(len(actions)),
                 "cameras": float(sum(image is not None for image in images)),
                 "prompt_tokens": float(len(token_ids)),
                 "state_deviation": deviation,

@@ -95,9 +95,8 @@ class Pi0RemoteBackend:
                 raise NotReadyError(f"Connected to {config.url} again; the observation has grown old meanwhile.")
         reply = client.infer(request, config.request_timeout_s - (time.monotonic() - start))
         base = np.array(config.base_position_m)
-        raw = _actions(reply)
+        raw = _actions(reply)[: config.action_steps]
         actions = profile.action.to_contract(raw, state=state, pose=observation.ee_pose, base_position_m=base)
-        actions = actions[: config.action_steps]
         metrics = {
             "inference_ms": (time.monotonic() - start) * 1e3,
             "chunk_horizon": float(len(actions)),

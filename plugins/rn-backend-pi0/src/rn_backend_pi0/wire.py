@@ -18,7 +18,7 @@ from roboneuron.errors import ConfigurationError
 
 _KINDS = frozenset("biuf")
 _MAX_DIMENSIONS = 8
-Value = str | bytes | int | float | bool | NDArray[Any] | list[Any] | Mapping[Any, Any] | None
+Value = str | bytes | int | float | bool | NDArray[Any] | np.generic | list[Any] | Mapping[Any, Any] | None
 
 
 def pack(value: Mapping[str, Value]) -> bytes:
