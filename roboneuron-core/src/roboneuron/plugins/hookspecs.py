@@ -21,32 +21,57 @@ from roboneuron.plugins.specs import (
 
 @hookspec
 def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
-    """Offer policies: image and instruction to actions. `target` follows the protocol `Backend`."""
+    """Offer policies: image and instruction to actions.
+
+    `target` follows the protocol `Backend`; it is built as `target(config, runtime=..., acceleration=...)` in the
+    inference module, in a process of its own. The agent sees each as a choice of `start_inference`.
+    """
 
 
 @hookspec
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:  # type: ignore[empty-body]
-    """Offer engines that execute decoders for backends. `target` follows the protocol `Runtime`."""
+    """Offer engines that execute decoders for backends.
+
+    `target` follows the protocol `Runtime`; it is built as `target(config)` in the inference module and handed to a
+    backend whose `family` is among `families`.
+    """
 
 
 @hookspec
 def roboneuron_accelerations() -> Sequence[AccelerationSpec]:  # type: ignore[empty-body]
-    """Offer named presets that change how a loaded model is executed. `target` follows the protocol `Acceleration`."""
+    """Offer named presets that change how a loaded model is executed.
+
+    `target` follows the protocol `Acceleration`; it is built as `target(config)` in the inference module and applied by
+    a runtime that offers its `capability`.
+    """
 
 
 @hookspec
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-body]
-    """Offer sources of camera frames. `target` follows the protocol `PerceptionSource`."""
+    """Offer sources of camera frames.
+
+    `target` follows the protocol `PerceptionSource`; it is built as `target(config, topics, cameras)` in the perception
+    module, in a process of its own.
+    """
 
 
 @hookspec
 def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-body]
-    """Offer controllers from actions to joint commands. `target` follows the protocol `Controller`."""
+    """Offer controllers from actions to joint commands.
+
+    `target` follows the protocol `Controller`; it is built as `target(config, profile)` in the control module, in a
+    process of its own.
+    """
 
 
 @hookspec
 def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
-    """Offer robots. `target` returns the `RobotProfile`; each driver's `target` follows the protocol `RobotDriver`."""
+    """Offer robots.
+
+    `target` is a function without arguments that returns the `RobotProfile`; each driver's `target` follows the
+    protocol `RobotDriver` and is built as `target(config, profile, topics)` in the robot module, in a process of its
+    own.
+    """
 
 
 HOOKS = {

@@ -1,0 +1,123 @@
+"""Imports point one way: errors <- contract <- plugins ... <- cli; core names no plugin; plugins touch no core room."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
+PLUGINS = ROOT / "plugins"
+
+LIGHT = {"errors"}
+CONTRACT = LIGHT | {"contract"}
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "contract": LIGHT,
+    "plugins": LIGHT,
+    "planning": LIGHT | {"plugins"},
+    "config": LIGHT,
+    "interfaces": CONTRACT | {"plugins", "planning", "config"},
+    "gate": CONTRACT | {"plugins", "planning", "config"},
+    "ros": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate"},
+    "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
+    "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
+    "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
+    "testing": CONTRACT | {"plugins"},
+    "demo": LIGHT | {"config"},  # an ordinary MCP client: no private calls
+}
+"""Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
+ROS_ROOMS = {"ros", "modules", "interfaces"}
+"""Where rclpy may be imported."""
+FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
+"""Rooms of the core that plugins may import."""
+CONTRACT_LIBRARIES = {"numpy"}
+PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
+
+
+def _imports(path: Path) -> Iterator[tuple[str, int]]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}:{node.lineno} uses a relative import"
+            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def _room(path: Path) -> str:
+    return path.relative_to(CORE).parts[0].removesuffix(".py")
+
+
+def _core_files() -> list[Path]:
+    return sorted(p for p in CORE.rglob("*.py") if p.parent != CORE or p.name != "__init__.py")
+
+
+def _breaches(path: Path) -> Iterator[str]:
+    room = _room(path)
+    allowed = ALLOWED.get(room, set(ALLOWED) - {"testing"} | {"cli"}) | {room}
+    for name, line in _imports(path):
+        parts = name.split(".")
+        if parts[0] == "roboneuron" and len(parts) > 1 and parts[1] != "__version__" and parts[1] not in allowed:
+            yield f"{path.relative_to(CORE)}:{line} imports {name}"
+        if parts[0] == "rclpy" and room not in ROS_ROOMS:
+            yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros, modules and interfaces"
+        if parts[0].startswith("rn_"):
+            yield f"{path.relative_to(CORE)}:{line} imports the plugin {name}"
+
+
+def test_every_room_of_the_core_has_its_rule():
+    rooms = {_room(p) for p in _core_files()}
+    assert rooms <= {*ALLOWED, "cli"}
+
+
+def test_imports_in_the_core_point_one_way():
+    assert [breach for path in _core_files() for breach in _breaches(path)] == []
+
+
+def test_a_breach_of_the_import_rules_is_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "CORE", tmp_path)
+    (tmp_path / "contract").mkdir()
+    bad = tmp_path / "contract" / "bad.py"
+    bad.write_text("import rclpy\nimport rn_robot_fr3\nfrom roboneuron.server import app\n")
+    assert len(list(_breaches(bad))) == 3
+
+
+@pytest.mark.parametrize(("room", "libraries"), [("contract", CONTRACT_LIBRARIES), ("plugins", PLUGIN_LIBRARIES)])
+def test_light_rooms_use_few_libraries(room, libraries):
+    used = {
+        name.split(".")[0]
+        for path in (CORE / room).rglob("*.py")
+        for name, _ in _imports(path)
+        if name.split(".")[0] not in sys.stdlib_module_names | {"roboneuron"}
+    }
+    assert used <= libraries
+
+
+def test_the_core_names_no_installed_plugin_in_code():
+    """A distribution's name in a message to people is help; in anything else it would be a dependency."""
+    packages = {p.name.replace("-", "_") for p in PLUGINS.iterdir() if (p / "pyproject.toml").exists()}
+    for path in _core_files():
+        text = path.read_text(encoding="utf-8")
+        assert not [p for p in packages if p in text], path
+
+
+def test_plugins_import_only_what_is_public_of_the_core():
+    breaches = [
+        f"{path.relative_to(PLUGINS)}:{line} imports {name}"
+        for path in sorted(PLUGINS.glob("*/src/**/*.py"))
+        for name, line in _imports(path)
+        if name.startswith("roboneuron.") and name.split(".")[1] not in FOR_PLUGINS
+    ]
+    assert breaches == []
+
+
+@pytest.mark.parametrize("module", ["roboneuron.plugins.discovery", "roboneuron.planning", "roboneuron.cli.main"])
+def test_light_modules_import_nothing_heavy(module):
+    script = f"import sys, {module}; print([m for m in ('numpy','torch','rclpy','mcp','pydantic') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,50 @@
+"""Every installed plugin keeps the package rules and the rules of each thing it offers."""
+
+from __future__ import annotations
+
+from importlib.metadata import distribution
+from typing import Any
+
+import pytest
+
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.record import PluginRecord, Status
+from roboneuron.plugins.specs import Spec
+from roboneuron.testing import PackageCase, Rule, Verdict, verify
+from roboneuron.testing.automatic import make_case
+from roboneuron.testing.rules import RULES
+
+REGISTRY = discover()
+OFFERS = [offer.spec for offer in REGISTRY.all_offers if offer.status is Status.READY]
+
+
+@pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.distribution)
+def test_every_installed_plugin_can_be_used_or_says_what_to_install(plugin: PluginRecord):
+    assert plugin.status in (Status.READY, Status.UNAVAILABLE), plugin.reason + plugin.traceback
+
+
+@pytest.mark.parametrize("rule", RULES["package"], ids=lambda rule: rule.id)
+@pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.distribution)
+def test_every_installed_plugin_keeps_the_package_rules(plugin: PluginRecord, rule: Rule[PackageCase]):
+    outcome = verify(rule, PackageCase(distribution=plugin.distribution))
+    assert outcome.verdict is Verdict.PASSED, f"{rule.text} {outcome.detail}"
+
+
+@pytest.mark.parametrize(
+    ("spec", "rule"),
+    [pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}") for s in OFFERS for r in RULES[s.kind]],
+)
+def test_every_installed_offer_keeps_the_rules_of_its_kind(spec: Spec, rule: Rule[Any]):
+    outcome = verify(rule, make_case(spec, {}))
+    if outcome.verdict is Verdict.SKIPPED:
+        pytest.skip(outcome.detail)
+    assert outcome.verdict is Verdict.PASSED, f"{rule.text} {outcome.detail}\n{outcome.traceback}"
+
+
+@pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.distribution)
+def test_every_installed_plugin_needs_this_version_of_the_core(plugin: PluginRecord):
+    requirements = distribution(plugin.distribution).requires or []
+    core = [r.replace(" ", "") for r in requirements if r.startswith("roboneuron-core") and "extra" not in r]
+    assert len(core) == 1
+    assert ">=0.1" in core[0]
+    assert "<0.2" in core[0]

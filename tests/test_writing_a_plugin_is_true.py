@@ -1,0 +1,59 @@
+"""docs/writing-a-plugin.md: what it tells to type works, and the pages generated from docstrings are current."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from roboneuron.cli.main import main
+from roboneuron.plugins import hookspecs
+from roboneuron.plugins.record import Status
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "writing-a-plugin.md").read_text(encoding="utf-8")
+
+
+def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
+    command = next(line for line in PAGE.splitlines() if line.startswith("roboneuron new"))
+    project = tmp_path / "rn-backend-nod"
+    assert main([*command.split()[1:], "--directory", str(project)]) == 0
+    files = re.findall(r"<!-- file: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    assert len(files) == 3
+    for name, text in files:
+        assert (project / name).exists(), name
+        (project / name).write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "-k", "TestNod"],
+        cwd=project,
+        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"1\d passed", done.stdout)
+
+
+def test_the_page_explains_every_status():
+    assert set(re.findall(r"^\| (\w+) \|", PAGE, flags=re.MULTILINE)) - {"status"} == {s.value for s in Status}
+
+
+def test_the_hook_page_is_what_the_docstrings_say():
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "hook_reference.py"), "--check"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_every_hook_has_a_docstring_and_is_on_the_page():
+    page = (ROOT / "docs" / "reference" / "hooks.md").read_text(encoding="utf-8")
+    for hook in hookspecs.HOOKS.values():
+        assert getattr(hookspecs, hook).__doc__
+        assert f"## `{hook}()" in page
