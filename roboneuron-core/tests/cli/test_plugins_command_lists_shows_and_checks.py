@@ -1,0 +1,186 @@
+"""`roboneuron plugins`: what it prints, its stable JSON, its exit status, and what it never imports."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from roboneuron.cli import plugin_check, plugin_listing
+from roboneuron.cli.main import main
+from roboneuron.cli.plugin_detail import find
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.discovery import discover_from
+from roboneuron.testing.fakes import fake_registry
+
+SCHEMA = Path(__file__).parents[3] / "docs" / "reference" / "plugins-list.schema.json"
+
+GOOD = """
+@hookimpl
+def roboneuron_backends():
+    return [BackendSpec(name="good", summary="Works.", target="good_module:Good",
+                        requires=(Requirement(module="json", install="-"),), optional_cameras=("wrist",))]
+"""
+
+
+@pytest.fixture
+def only(site, monkeypatch):
+    """Makes the commands see the plugins of the test's site and no others."""
+
+    def discover(disabled=()):
+        from importlib.metadata import distributions
+
+        points = [p for d in distributions(path=[str(site.path)]) for p in d.entry_points if p.group == "roboneuron"]
+        return discover_from(points, disabled)
+
+    monkeypatch.setattr("roboneuron.cli.plugins.discover", discover)
+    return site
+
+
+def test_list_shows_every_offer_and_what_to_do_about_trouble(only, capsys):
+    only.install("rn-good", GOOD)
+    only.install("rn-bad", "1 / 0")
+    assert main(["plugins", "list"]) == 0
+    out = capsys.readouterr().out
+    assert "good" in out
+    assert "Works." in out
+    assert "rn-bad is failed" in out
+    assert "ZeroDivisionError" in out
+    assert "roboneuron plugins show rn-bad" in out
+
+
+def test_list_without_plugins_says_what_to_install(only, capsys):
+    assert main(["plugins", "list"]) == 0
+    assert "pip install" in capsys.readouterr().out
+
+
+def test_list_json_follows_its_schema(only, capsys):
+    only.install("rn-good", GOOD)
+    only.install("rn-bad", "1 / 0")
+    only.install("rn-off", GOOD)
+    assert main(["plugins", "list", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["schema_version"] == plugin_listing.SCHEMA_VERSION
+    assert [p["status"] for p in document["plugins"]] == ["failed", "conflict", "conflict"]
+    assert document["plugins"][1]["offers"][0]["requires"] == ["json"]
+
+
+def test_list_strict_fails_for_trouble_and_not_for_what_is_disabled(only, tmp_path, capsys):
+    only.install("rn-good", GOOD)
+    assert main(["plugins", "list", "--strict"]) == 0
+    only.install("rn-bad", "1 / 0")
+    assert main(["plugins", "list", "--strict"]) == 1
+    config = tmp_path / "roboneuron.toml"
+    config.write_text('disabled_plugins = ["rn-bad"]\n')
+    assert main(["plugins", "--config", str(config), "list", "--strict"]) == 0
+    assert "disabled" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('disabled_plugins = "rn-bad"', "expected a list"),
+        ("disabled_plugins = [", "no valid TOML"),
+        ('disabled_plugins = ["rn-absent"]', "'rn-absent' is not installed"),
+    ],
+)
+def test_a_wrong_configuration_is_named(only, tmp_path, capsys, text, words):
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(text)
+    assert main(["plugins", "--config", str(config), "list"]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_show_prints_the_facts_of_a_descriptor_and_tracebacks(only, capsys):
+    only.install("rn-good", GOOD)
+    only.install("rn-bad", "1 / 0")
+    assert main(["plugins", "show", "good"]) == 0
+    out = capsys.readouterr().out
+    assert "target: good_module:Good" in out
+    assert "optional_cameras: wrist" in out
+    assert "action_space: width=7" in out
+    assert main(["plugins", "show", "rn-bad"]) == 0
+    assert "ZeroDivisionError" in capsys.readouterr().out
+
+
+def test_show_of_an_unknown_name_suggests_the_nearest(only, capsys):
+    only.install("rn-good", GOOD)
+    assert main(["plugins", "show", "goood"]) == 2
+    assert "Did you mean 'good'" in capsys.readouterr().err
+
+
+def test_find_takes_offers_by_name_and_kind():
+    registry = fake_registry()
+    assert [o.spec.kind for _, offers in find(registry, "gantry", None) for o in offers] == ["controller", "robot"]
+    assert [o.spec.kind for _, offers in find(registry, "gantry", "robot") for o in offers] == ["robot"]
+    with pytest.raises(ConfigurationError, match="of kind backend"):
+        find(registry, "gantry", "backend")
+
+
+def test_options_are_toml_values_or_text():
+    parsed = plugin_check.parse_options(["gain=0.5", "path=/tmp/x", 'name="a b"', "sizes=[1, 2]", "on=true"])
+    assert parsed == {"gain": 0.5, "path": "/tmp/x", "name": "a b", "sizes": [1, 2], "on": True}
+    with pytest.raises(ConfigurationError, match="expected KEY=VALUE"):
+        plugin_check.parse_options(["gain"])
+
+
+def _worker(monkeypatch, tmp_path, body):
+    """Replaces the worker by a script that writes one result and then does `body`."""
+    begun = {"subject": "rn-x", "rule": "x/one", "text": "One."}
+    decided = {**begun, "verdict": "passed", "detail": "", "traceback": ""}
+    lines = [json.dumps(begun), json.dumps(decided), json.dumps({**begun, "rule": "x/two"})]
+    script = "import sys\n" + "".join(f"print({line!r}, flush=True)\n" for line in lines) + body
+    (tmp_path / "lost_worker.py").write_text(script)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(plugin_check, "WORKER", "lost_worker")
+
+
+def test_a_check_that_hangs_is_ended_and_names_the_rule(monkeypatch, tmp_path):
+    pid_file = tmp_path / "pid"
+    body = f"import os, time, pathlib\npathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))\ntime.sleep(60)\n"
+    _worker(monkeypatch, tmp_path, body)
+    results = plugin_check.run_worker("{}", 3.0)
+    assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "timeout")]
+    assert not Path(f"/proc/{pid_file.read_text()}").exists()
+
+
+def test_a_check_that_crashes_names_the_rule_and_the_reason(monkeypatch, tmp_path):
+    _worker(monkeypatch, tmp_path, "raise SystemExit('the plugin took the process down')\n")
+    results = plugin_check.run_worker("{}", 20.0)
+    assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "crashed")]
+    assert "took the process down" in results[1].detail
+
+
+def test_check_of_what_is_not_ready_says_why_and_fails(only, capsys):
+    only.install("rn-bad", GOOD.replace('"good"', '"odd"').replace("summary", "contract=99, summary"))
+    assert main(["plugins", "check", "odd"]) == 1
+    assert "incompatible" in capsys.readouterr().out
+
+
+def test_listing_everything_installed_imports_nothing_heavy():
+    script = (
+        "import sys; from roboneuron.cli.main import main; status = main(['plugins', 'list']);"
+        "print([m for m in ('numpy','torch','rclpy','mcp','pydantic') if m in sys.modules], status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env={**os.environ}
+    )
+    assert done.stdout.strip().splitlines()[-1] == "[] 0"
+
+
+def test_an_unknown_command_suggests_the_nearest(capsys):
+    assert main(["plugin"]) == 2
+    assert "did you mean 'plugins'" in capsys.readouterr().err
+
+
+def test_help_lists_every_command_without_importing_it(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    assert "write a plugin package" in capsys.readouterr().out
