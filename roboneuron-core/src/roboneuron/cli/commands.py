@@ -28,7 +28,9 @@ class CommandModule(Protocol):
 COMMANDS: dict[str, Command] = {
     "demo": Command("roboneuron.cli.demo", "an agent stand-in picks up a cube with the simulated robot"),
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
+    "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
+    "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
     "new": Command("roboneuron.cli.new", "write a plugin package that passes its contract tests"),
 }
