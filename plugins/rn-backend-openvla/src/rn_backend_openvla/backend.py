@@ -19,7 +19,7 @@ from roboneuron.contract.action import ACTION_SIZE, ActionChunk
 from roboneuron.contract.decoding import TokenReply
 from roboneuron.contract.observation import Observation
 from roboneuron.contract.protocols import Acceleration, Runtime
-from roboneuron.errors import ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+from roboneuron.errors import CheckpointError, ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
 
 F64 = NDArray[np.float64]
 
@@ -59,6 +59,7 @@ class OpenVlaBackend:
             raise ConfigurationError("Backend 'openvla' needs a runtime.", hint="Install rn-runtime-torch.")
         check_frame(self._profile.frame, self.frame)
         checkpoint = Checkpoint.read(config.checkpoint)
+        _check_no_components(checkpoint)
         key, statistics = choose_statistics(checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source)
         self._scaling = Scaling.of(statistics.action, "q99", 0.0)
         if self._scaling.width != ACTION_SIZE:
@@ -133,6 +134,15 @@ class OpenVlaTcpBackend(OpenVlaBackend):
     """The same for checkpoints whose actions are in the tool frame."""
 
     frame: ClassVar[str] = "tcp"
+
+
+def _check_no_components(checkpoint: Checkpoint) -> None:
+    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one token after the other."""
+    found = sorted(checkpoint.path.glob("*--*checkpoint.pt"))
+    if found:
+        raise CheckpointError(
+            f"{checkpoint.path} holds {found[0].name}: it is an OpenVLA-OFT checkpoint.", hint="Use the backend 'oft'."
+        )
 
 
 def check_frame(profile: str, backend: str) -> None:

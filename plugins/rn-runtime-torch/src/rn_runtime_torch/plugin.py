@@ -28,5 +28,6 @@ def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
             ),
             families=FAMILIES,
             capabilities=CAPABILITIES,
+            case="rn_runtime_torch.case:torch_case",
         ),
     )
