@@ -16,6 +16,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import Frame, JointSample, Pose
+from roboneuron.modules.turn import NEVER_NS
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
 pytestmark = pytest.mark.ros
@@ -44,6 +45,11 @@ class Cell:
 
     def status(self) -> dict[str, str]:
         return dict(self._status_of(self.inference))
+
+    def set(self, **moments_ns: int) -> None:
+        parameters = [Parameter(name, value=value) for name, value in moments_ns.items()]
+        results = self.world.run(lambda: self.inference.set_parameters(parameters))
+        assert all(result.successful for result in results)
 
     def instruct(self, text: Any) -> Any:
         return self.world.run(lambda: self.inference.set_parameters([Parameter("instruction", value=text)]))[0]
@@ -203,3 +209,44 @@ def test_deactivation_silences_within_a_step(build: Callable[..., Cell]) -> None
     count = len(cell.actions)
     cell.send_image()
     assert not cell.wait_until(lambda: len(cell.actions) > count + 1, 0.3)
+
+
+def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    cell.set(act_from_ns=NEVER_NS)
+    cell.send_image()
+    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert cell.status()["shadow_action"] == "0.01,0,0,0,0,0,1"
+    assert not cell.actions
+
+
+def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    now_ns = cell.world.node.get_clock().now().nanoseconds
+    cell.set(act_from_ns=now_ns, act_until_ns=now_ns + 300_000_000)
+    cell.send_image(age_s=0.2)
+    assert cell.wait_until(lambda: cell.status().get("note") == "in shadow")
+    assert not cell.actions
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    cell.send_image(age_s=-0.4)
+    assert cell.wait_until(lambda: cell.status().get("note") == "handed over to the successor")
+    assert len(cell.actions) == 1
+
+
+def test_a_chunk_ends_when_the_successor_begins(build: Callable[..., Cell]) -> None:
+    cell = build("chunked")
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 2)
+    cell.set(play_until_ns=1)
+    assert not cell.wait_until(lambda: len(cell.actions) > 3, 0.3)
+
+
+def test_a_moment_that_is_none_changes_nothing(build: Callable[..., Cell]) -> None:
+    cell = build("instant")
+    parameters = [Parameter("act_from_ns", value=5), Parameter("act_until_ns", value=-1)]
+    result = cell.world.run(lambda: cell.inference.set_parameters_atomically(parameters))
+    assert not result.successful
+    assert "must be a ROS time" in result.reason
+    cell.send_image()
+    assert cell.wait_until(lambda: len(cell.actions) == 1)

@@ -17,9 +17,11 @@ from std_msgs.msg import Float64MultiArray
 from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.modules.inputs import NewestInputs
+from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, StatusKey
+from roboneuron.modules.turn import TURN_PARAMETERS, Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
@@ -32,7 +34,6 @@ _PACE = 0.8
 """The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
 """Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
-MAX_INSTRUCTION_LENGTH = 1000
 
 
 class InferenceModule(Module):
@@ -45,10 +46,8 @@ class InferenceModule(Module):
         self._subscriptions: list[object] = []
         self._inputs: NewestInputs | None = None
         self._worker = Worker("inference", self._step, self.status)
-        self._instruction = ""
-        self._instruction_count = 0
-        self._actions_for_instruction = 0
-        self._reset_wanted = False
+        self._instruction = Instruction(self.status)
+        self._turn = Turn()
         self._next_s = 0.0
 
     def configure(self) -> None:
@@ -102,14 +101,13 @@ class InferenceModule(Module):
         )
         self._subscribe(self._inputs)
         self._publisher = self.node.create_lifecycle_publisher(Float64MultiArray, ACTION, NEWEST)
-        self._declare_instruction(config.instruction)
+        self._declare_parameters(config.instruction)
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
         assert self._inputs is not None
         self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
-        self._reset_wanted = True
-        self._actions_for_instruction = 0
+        self._instruction.restart()
         self._next_s = 0.0
         self.status.set_waiting(self._inputs.missing() or "the first action")
         self._worker.start()
@@ -143,35 +141,29 @@ class InferenceModule(Module):
                 self.node.create_subscription(PoseStamped, EE_POSE, inputs.on_ee_pose, NEWEST),
             ]
 
-    def _declare_instruction(self, instruction: str) -> None:
+    def _declare_parameters(self, instruction: str) -> None:
         if not self.node.has_parameter(INSTRUCTION_PARAMETER):
             self.node.add_on_set_parameters_callback(self._on_parameters)
+            for name in TURN_PARAMETERS:
+                self.node.declare_parameter(name, 0)
             self.node.declare_parameter(INSTRUCTION_PARAMETER, instruction)
         else:
             self.node.set_parameters([Parameter(INSTRUCTION_PARAMETER, value=instruction)])
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name != INSTRUCTION_PARAMETER:
-                continue
-            if parameter.type_ is not Parameter.Type.STRING:
-                return SetParametersResult(successful=False, reason="instruction must be a string")
-            if len(parameter.value) > MAX_INSTRUCTION_LENGTH:
-                reason = f"instruction is {len(parameter.value)} characters long, at most {MAX_INSTRUCTION_LENGTH}"
-                return SetParametersResult(successful=False, reason=reason)
-            self._instruction = str(parameter.value).strip()
-            self._instruction_count += 1
-            self._actions_for_instruction = 0
-            self._reset_wanted = True
-            self.status.clear_error()
-            self.status.set_value(StatusKey.INSTRUCTION, self._instruction)
-            self.status.set_value(StatusKey.INSTRUCTION_COUNT, self._instruction_count)
-            self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 0)
-            self.status.changed.set()
+        """Take all of them or none."""
+        turns = [p for p in parameters if p.name in TURN_PARAMETERS]
+        instructions = [p for p in parameters if p.name == INSTRUCTION_PARAMETER]
+        reasons = [self._turn.check(p) for p in turns] + [self._instruction.check(p) for p in instructions]
+        refused = next((reason for reason in reasons if reason), "")
+        if refused:
+            return SetParametersResult(successful=False, reason=refused)
+        self._turn.set(turns)
+        for parameter in instructions:
+            self._instruction.set(str(parameter.value))
         return SetParametersResult(successful=True)
 
     def _step(self, stop: threading.Event) -> None:
-        assert self._backend is not None
         assert self._inputs is not None
         remaining_s = self._next_s - time.monotonic()
         if remaining_s > 0 and stop.wait(remaining_s):
@@ -187,24 +179,46 @@ class InferenceModule(Module):
                     hint="Is perception running, and is its clock right?",
                 )
             return
-        count, instruction = self._instruction_count, self._instruction
+        if self._turn.is_over(self._inputs.captured_ns(observation)):
+            self.status.set_value(StatusKey.NOTE, "handed over to the successor")
+            return
+        self._act(observation, stop)
+
+    def _act(self, observation: Observation, stop: threading.Event) -> None:
+        """Predict, and publish unless this module works in shadow."""
+        assert self._backend is not None
+        assert self._inputs is not None
+        count, instruction = self._instruction.count, self._instruction.text
         if not instruction:
             self.status.set_value(StatusKey.NOTE, "waiting for an instruction")
             self.status.set_ready()
             return
-        if self._reset_wanted:
-            self._reset_wanted = False
+        if self._instruction.is_new:
+            self._instruction.is_new = False
             self._backend.reset()
         started_s = time.monotonic()
         chunk = self._backend.predict(replace(observation, instruction=instruction))
         self.status.set_value("inference_ms", (time.monotonic() - started_s) * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
-        self.status.set_value(StatusKey.NOTE, chunk.note)
-        self._play(chunk, observation, count, stop)
+        if not self._turn.is_shadow(self._inputs.captured_ns(observation)):
+            self.status.set_value(StatusKey.NOTE, chunk.note)
+            self._play(chunk, observation, count, stop)
+            return
+        self.status.set_value(StatusKey.NOTE, "in shadow")
+        self.status.set_value("shadow_action", ",".join(f"{value:.5g}" for value in chunk.actions[0]))
+        self._note_first(observation)
+
+    def _note_first(self, observation: Observation) -> None:
+        """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
+        age_ms = (self.node.get_clock().now().nanoseconds - observation.stamp_ns) / 1e6
+        self.status.latency.add(age_ms)
+        self.status.set_value("image_age_ms", age_ms)
+        self.status.clear_error()
+        self.status.set_ready()
 
     def _play(self, chunk: ActionChunk, observation: Observation, count: int, stop: threading.Event) -> None:
-        """Publish one action per `step_s`; a new instruction or the end of the activity cuts the chunk short."""
+        """Publish one action per `step_s`; a new instruction, a successor or the end of activity cuts the chunk."""
         assert self._publisher is not None
         start_s = time.monotonic()
         horizon = len(chunk.actions)
@@ -212,18 +226,14 @@ class InferenceModule(Module):
             delay_s = start_s + index * chunk.step_s - time.monotonic()
             if delay_s > 0:
                 stop.wait(delay_s)
-            if stop.is_set() or self._instruction_count != count or self.node.stopped:
+            if stop.is_set() or self._instruction.count != count or self.node.stopped:
+                return
+            if self._turn.must_fall_silent(int(self.node.get_clock().now().nanoseconds)):
                 return
             self._publisher.publish(to_action_message(vector))
             self.status.output.tick()
-            self._actions_for_instruction += 1
+            self._instruction.note_action()
             if index == 0:
-                age_ms = (self.node.get_clock().now().nanoseconds - observation.stamp_ns) / 1e6
-                self.status.latency.add(age_ms)
-                self.status.set_value("image_age_ms", age_ms)
-                self.status.clear_error()
-                self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, self._actions_for_instruction)
-                self.status.set_ready()
+                self._note_first(observation)
             self.status.set_value("chunk_position", f"{index + 1}/{horizon}")
-        self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, self._actions_for_instruction)
         self._next_s = time.monotonic() + _PACE * chunk.step_s

@@ -115,6 +115,10 @@ class NewestInputs:
                     absent.append(f"the end-effector pose on {EE_POSE} (is control running?)")
         return " and ".join(absent)
 
+    def captured_ns(self, observation: Observation) -> int:
+        """Capture time of the first role's image: the one that paces the loop, the same for every backend."""
+        return observation.frames[self._leading].stamp_ns
+
     def silence_s(self) -> float:
         """Seconds since the last observation was handed out."""
         return time.monotonic() - self._usable_s
@@ -124,7 +128,7 @@ class NewestInputs:
         with self._fresh:
             if not self._fresh.wait_for(self._is_fresh, timeout_s):
                 return None
-            frames = dict(self._frames)
+            frames = {role: self._frames[role] for role in self.cameras if role in self._frames}
             joints, ee_pose = self._joints, self._ee_pose
             self._used_ns = frames[self._leading].stamp_ns
         limit_ns = self._now_ns() - self._max_age_ns
