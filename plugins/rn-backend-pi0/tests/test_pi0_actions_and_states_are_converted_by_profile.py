@@ -47,14 +47,12 @@ def _to(layout: ActionLayout, raw: list[float], pose: Pose | None = None, state:
     return out
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
+    layout=st.sampled_from(LAYOUTS),
     moves=arrays(np.float64, (3, 6), elements=st.floats(-0.2, 0.2)),
     openings=arrays(np.float64, 3, elements=st.floats(0, 1)),
     state=arrays(np.float64, 8, elements=st.floats(-1, 1)),
-)
-@pytest.mark.parametrize(
-    "layout", LAYOUTS, ids=lambda x: f"{x.meaning}-{x.frame}-{x.rotation}-{x.gripper}-{x.adds_state}"
 )
 def test_there_and_back_gives_the_same_actions(
     layout: ActionLayout, moves: np.ndarray, openings: np.ndarray, state: np.ndarray

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,9 +15,10 @@ from pydantic import ValidationError
 
 from rn_backend_pi0.options import Pi0Options, Pi0RemoteOptions
 from rn_backend_pi0.plugin import roboneuron_backends
+from rn_backend_pi0.profiles import PROFILES
 from roboneuron.contract import Observation
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.testing import BackendCase, BackendContract
+from roboneuron.testing import BackendCase, BackendContract, PackageCase, PackageContract
 
 SPECS: dict[str, BackendSpec] = {spec.name: spec for spec in roboneuron_backends()}
 
@@ -40,6 +43,37 @@ class TestRemote(BackendContract):
             "image_keys": {"primary": "observation/image"},
         }
         return BackendCase(spec=SPECS["pi0-remote"], options=options, observe=observe)
+
+
+class TestPackage(PackageContract):
+    """The distribution as installed."""
+
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-backend-pi0")
+
+
+def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    names = {*Pi0Options.model_fields, *Pi0RemoteOptions.model_fields, *PROFILES}
+    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+    examples = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)]
+    plugins = [example["plugins"] for example in examples if "plugins" in example]
+    Pi0Options(checkpoint=Path("x"), **plugins[0]["pi0"])
+    Pi0RemoteOptions(**plugins[1]["pi0-remote"])
+
+
+def test_every_profile_says_its_units_in_the_readme() -> None:
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    for name, profile in PROFILES.items():
+        row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` | delta"))
+        action = profile.action
+        scale = f"{action.translation_scale_m:g} m, {action.rotation_scale_rad:g} rad"
+        words = {"rotvec": "rotation vector", "rpy": "roll, pitch, yaw"}
+        signs = {"signed_close": "-1 open, 1 closed", "open_fraction": "1 open, 0 closed"}
+        for part in (scale, words[action.rotation], action.frame, signs[action.gripper], f"{action.step_s:g} s"):
+            assert part in row, (name, part)
+        assert ("state added" in row) == action.adds_state
 
 
 def test_listing_the_plugin_imports_nothing_heavy() -> None:
@@ -77,7 +111,8 @@ def test_descriptors_say_what_the_backends_need() -> None:
         {"dtype": "float8"},
         {"action_steps": 0},
         {"denoising_steps": 0},
-        {"noise": "fixed", "seed": None},
+        {"noise": "fixed", "seed": "random"},
+        {"seed": -1},
         {"base_position_m": (float("nan"), 0.0, 0.0)},
         {"surplus": 1},
     ],

@@ -86,7 +86,7 @@ class Pi0Backend:
         self._prompt: Prompt | None = None
         self._profile: Profile | None = None
         self._slots: tuple[str, ...] = ()
-        self._random = np.random.default_rng(config.seed)
+        self._random = np.random.default_rng(config.numpy_seed)
         self._warm_ms = 0.0
 
     def load(self) -> None:
@@ -177,7 +177,7 @@ class Pi0Backend:
 
     def reset(self) -> None:
         """Start the noise anew, so that an episode with a seed repeats itself."""
-        self._random = np.random.default_rng(self._config.seed)
+        self._random = np.random.default_rng(self._config.numpy_seed)
 
     def close(self) -> None:
         """Release the weights."""
@@ -196,5 +196,5 @@ class Pi0Backend:
         return images
 
     def _noise(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        random = np.random.default_rng(self._config.seed) if self._config.noise == "fixed" else self._random
+        random = np.random.default_rng(self._config.numpy_seed) if self._config.noise == "fixed" else self._random
         return random.standard_normal(shape, dtype=np.float32)

@@ -101,9 +101,9 @@ class _Common(_Section):
         elif name in PROFILES:
             profile = PROFILES[name]
         else:
-            got = f"names the unknown profile {name!r}" if name else "names no profile"
+            got = f", and the checkpoint names the unknown {name!r}" if name else ""
             raise ConfigurationError(
-                f"The checkpoint {got} and the option 'profile' is not set; choose one of {', '.join(PROFILES)}, own.",
+                f"The option 'profile' is not set{got}; choose one of {', '.join(PROFILES)}, own.",
                 hint="The profile says what state the model takes and what its actions mean; it is never guessed.",
             )
         base = np.array(self.base_position_m)
@@ -146,14 +146,21 @@ class Pi0Options(_Common):
     resize: Resize | None = Field(
         default=None, description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset"
     )
-    seed: int | None = Field(default=0, ge=0, description="of the noise, restarted by every reset; none for a new one")
+    seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
+        default=0, description="of the noise, restarted by every reset; 'random' for another one each time"
+    )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
     )
 
+    @property
+    def numpy_seed(self) -> int | None:
+        """The seed as numpy takes it."""
+        return None if self.seed == "random" else self.seed
+
     @model_validator(mode="after")
     def _fixed_noise_has_a_seed(self) -> Self:
-        if self.noise == "fixed" and self.seed is None:
+        if self.noise == "fixed" and self.seed == "random":
             raise ValueError("noise 'fixed' needs a seed")
         return self
 

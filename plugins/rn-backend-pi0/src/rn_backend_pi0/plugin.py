@@ -33,6 +33,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             summary="pi0 in this process, from a LeRobot or openpi PyTorch checkpoint directory",
             target="rn_backend_pi0.native:Pi0Backend",
             config="rn_backend_pi0.options:Pi0Options",
+            case="rn_backend_pi0.case:native_case",
             requires=(
                 Requirement(module="torch", install=_NATIVE),
                 Requirement(module="safetensors", install=_NATIVE),
