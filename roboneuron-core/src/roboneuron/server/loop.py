@@ -51,6 +51,11 @@ class ClosedLoop:
         """Descriptor of the present robot."""
         return self.plugins.current().get("robot", self.config.robot.name)
 
+    def camera_roles(self) -> dict[str, str]:
+        """Camera name -> role of the present robot; empty when its plugin is gone."""
+        spec = self.plugins.current().specs("robot").get(self.config.robot.name)
+        return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
+
     def start_robot(self, robot: str | None, driver: str | None, options: Options, on_stage: Stage) -> ModuleView:
         """Start a robot. Raises as `select_robot` and `Supervisor.start`."""
         selection = select_robot(self.base, self.plugins.current(), robot, driver, options)
@@ -80,7 +85,9 @@ class ClosedLoop:
 
     def start_inference(self, request: InferenceRequest, on_stage: Stage) -> ModuleView:
         """Start a backend. Raises as `select_inference` and `Supervisor.start`."""
-        return self._start("inference", self._select_inference(request), on_stage)
+        selection = self._select_inference(request)
+        self._check_may_move(selection)
+        return self._start("inference", selection, on_stage)
 
     def switch_inference(self, request: InferenceRequest, on_stage: Stage) -> tuple[ModuleView, dict[str, str], float]:
         """Replace the running backend; returns the new one, what ran before, and the gap in seconds.
@@ -100,6 +107,7 @@ class ClosedLoop:
                 options=request.options,
             )
         selection = self._select_inference(request)
+        self._check_may_move(selection)
         replaced = dict(old.choice.names) if old.choice is not None else {}
         on_stage("inference: stopping the old backend")
         started_s = time.monotonic()
@@ -136,8 +144,7 @@ class ClosedLoop:
         """
         text = check_instruction(text)
         view = self.supervisor.require_running("inference")
-        if self.emergency_stop.is_latched():
-            raise RefusedError("The emergency stop is latched: nothing would move.", hint="Call reset_emergency_stop.")
+        self._check_not_latched()
         before = view.report
         count = before.instruction_count if before is not None else 0
         errors = before.error_count if before is not None else 0
@@ -165,6 +172,16 @@ class ClosedLoop:
                 hint="The instruction stays set; see get_status, or give another one.",
             )
         return report, time.monotonic() - started_s
+
+    def _check_may_move(self, selection: Selection) -> None:
+        """A backend with an instruction has to prove itself by an action, which a latched stop forbids."""
+        section = selection.config.inference
+        if section is not None and section.instruction:
+            self._check_not_latched()
+
+    def _check_not_latched(self) -> None:
+        if self.emergency_stop.is_latched():
+            raise RefusedError("The emergency stop is latched: nothing would move.", hint="Call reset_emergency_stop.")
 
     def _select_inference(self, request: InferenceRequest) -> Selection:
         config = self.config

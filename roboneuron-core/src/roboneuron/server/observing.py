@@ -94,7 +94,7 @@ def observing_tools(loop: ClosedLoop, started_s: float) -> list[Tool[Any]]:
             read_only=True,
             idempotent=True,
             open_world=True,
-            choices={"camera": lambda: {c.name: c.role for c in loop.robot_spec().cameras}},
+            choices={"camera": loop.camera_roles},
         ),
     ]
 

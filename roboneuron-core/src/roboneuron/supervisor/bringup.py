@@ -95,7 +95,7 @@ class Bringup:
             report = self._checked_report()
             if report is None:
                 return False
-            if report.ready:
+            if report.ready and report.state == "active":
                 return True
             failure = report.failure()
             if failure is None:

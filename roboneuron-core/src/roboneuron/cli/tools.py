@@ -1,0 +1,43 @@
+"""List the tools that agents get with the plugins installed here."""
+
+from __future__ import annotations
+
+import json
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Add the arguments of `roboneuron tools`."""
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="the answer of tools/list, schemas included")
+    form.add_argument("--markdown", action="store_true", help="the reference page docs/tools.md")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it"
+    )
+
+
+def run(arguments: Namespace) -> int:
+    """Run `roboneuron tools`."""
+    if arguments.markdown:
+        from roboneuron.server.reference import tools_reference  # heavy
+
+        print(tools_reference(), end="")
+        return 0
+    from roboneuron.config import load_config
+    from roboneuron.server.app import Application  # heavy
+
+    application = Application(load_config(arguments.config))
+    try:
+        listing = application.tools.listing()
+    finally:
+        application.close()
+    if arguments.json:
+        print(
+            json.dumps([tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listing], indent=2)
+        )
+        return 0
+    width = max(len(tool.name) for tool in listing)
+    for tool in listing:
+        print(f"{tool.name:<{width}}  {tool.title}")
+    return 0

@@ -1,0 +1,78 @@
+"""An application in this process without ROS, and a site with plugins for servers in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from roboneuron.config import parse_config
+from roboneuron.plugins.specs import BackendSpec
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.fakes import fake_registry
+
+CONFIG = """
+[robot]
+name = "gantry"
+[perception]
+source = "{source}"
+[inference]
+backend = "picky"
+[control]
+controller = "gantry"
+[supervisor]
+start_timeout_s = {start_timeout_s}
+stop_timeout_s = 3.0
+state_directory = "{state}"
+"""
+
+
+@pytest.fixture
+def application(tmp_path: Path) -> Iterator[Application]:
+    """The fakes as installed plugins; no ROS is touched until something is started."""
+    config = parse_config(
+        '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = "instant"\n'
+        '[control]\ncontroller = "gantry"\n'
+    )
+    heavy = BackendSpec(name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True)
+    registry = fake_registry(heavy)
+    application = Application(
+        config,
+        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+    )
+    try:
+        yield application
+    finally:
+        application.close()
+
+
+@pytest.fixture
+def server_environment(tmp_path: Path) -> dict[str, str]:
+    """Environment of a server process that finds the plugin of these tests."""
+    site = tmp_path / "site"
+    info = site / "rn_server_tests-1.0.dist-info"
+    info.mkdir(parents=True)
+    shutil.copy(Path(__file__).with_name("plugin_for_tests.py"), site / "rn_server_tests_plugin.py")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-server-tests\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\nrn-server-tests = rn_server_tests_plugin\n")
+    return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(random.randint(30, 99))}
+
+
+@pytest.fixture
+def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
+    """Return a function that writes a configuration and returns the command that serves it."""
+
+    def make(*, source: str = "ticking", start_timeout_s: float = 30.0) -> list[str]:
+        path = tmp_path / "roboneuron.toml"
+        path.write_text(CONFIG.format(source=source, start_timeout_s=start_timeout_s, state=tmp_path / "state"))
+        return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+
+    return make

@@ -1,0 +1,150 @@
+"""What an agent reads of the tools: names, schemas, choices, annotations, results."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import anyio
+import jsonschema
+import pytest
+from mcp import Client, types
+
+from roboneuron.config import Config
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import BackendSpec
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.testing.fakes import fake_registry
+
+TOOLS = {
+    *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction", "switch_inference"),
+    *("stop_robot", "stop_perception", "stop_control", "stop_inference", "stop_all"),
+    *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
+    *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
+    "list_accelerations",
+}
+
+
+def listing(application: Application, mode: str = "auto") -> dict[str, types.Tool]:
+    async def ask() -> dict[str, types.Tool]:
+        async with Client(application.server, mode=mode) as client:  # type: ignore[arg-type]
+            return {tool.name: tool for tool in (await client.list_tools()).tools}
+
+    return anyio.run(ask)
+
+
+def call(application: Application, name: str, arguments: dict[str, Any] | None = None) -> types.CallToolResult:
+    async def ask() -> types.CallToolResult:
+        async with Client(application.server) as client:
+            return await client.call_tool(name, arguments or {})
+
+    return anyio.run(ask)
+
+
+@pytest.mark.parametrize("mode", ["auto", "legacy"])
+def test_all_tools_are_listed_to_clients_of_both_eras(application: Application, mode: str) -> None:
+    assert set(listing(application, mode)) == TOOLS
+
+
+def test_every_tool_has_strict_schemas_and_descriptions(application: Application) -> None:
+    for tool in listing(application).values():
+        assert tool.description
+        assert len(tool.description) > 20
+        for schema in (tool.input_schema, tool.output_schema):
+            assert schema is not None
+            jsonschema.Draft202012Validator.check_schema(schema)
+            assert schema["type"] == "object"
+            assert schema["additionalProperties"] is False
+        for name, entry in tool.input_schema["properties"].items():
+            assert entry.get("description"), f"{tool.name}.{name}"
+            assert "anyOf" not in entry, f"{tool.name}.{name}"
+
+
+def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
+    for tool in listing(application).values():
+        hints = tool.annotations
+        assert hints is not None
+        reads = tool.name.startswith(("list_", "get_"))
+        assert hints.read_only_hint == reads
+        assert hints.destructive_hint == (tool.name.startswith(("stop_", "switch_", "emergency", "reset")))
+        assert not (hints.read_only_hint and hints.destructive_hint)
+
+
+def test_choices_are_the_installed_plugins_with_their_summaries(application: Application) -> None:
+    tools = listing(application)
+    backend = tools["start_inference"].input_schema["properties"]["backend"]
+    assert sorted(backend["enum"]) == ["heavy", "instant"]
+    assert "instant: Answers at once with a small move along x" in backend["description"]
+    assert tools["switch_inference"].input_schema == tools["start_inference"].input_schema
+    assert tools["start_inference"].input_schema["properties"]["runtime"]["enum"] == ["counting"]
+    assert tools["get_camera_image"].input_schema["properties"]["camera"]["enum"] == ["front", "hand"]
+
+
+def test_a_newly_installed_plugin_appears_as_a_choice(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = tmp_path / "site-packages"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+    installed: list[BackendSpec] = []
+
+    def discover(disabled: object) -> Registry:
+        return fake_registry(*installed)
+
+    config = Config.model_validate({"robot": {"name": "gantry"}})
+    application = Application(config, plugins=PluginCatalogue(discover=discover))
+    assert "fresh" not in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    installed.append(BackendSpec(name="fresh", summary="Just installed.", target="fresh:Fresh"))
+    (site / "fresh-1.0.dist-info").mkdir()
+    assert "fresh" in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    application.close()
+
+
+def test_without_plugins_there_are_no_empty_enums() -> None:
+    empty = Registry(plugins=(), all_offers=())
+    config = Config.model_validate({"robot": {"name": "gantry"}})
+    application = Application(config, plugins=PluginCatalogue(discover=lambda disabled: empty))
+    for tool in application.tools.listing():
+        assert all("enum" not in entry or entry["enum"] for entry in tool.input_schema["properties"].values())
+    application.close()
+
+
+def test_lists_say_what_fits_and_status_is_typed(application: Application) -> None:
+    answer = call(application, "list_backends")
+    assert not answer.is_error
+    by_name = {entry["name"]: entry for entry in answer.structured_content["backends"]}
+    assert by_name["heavy"]["needs_checkpoint"] is True
+    assert by_name["instant"]["needs_state"] is True
+    assert by_name["instant"]["status"] == "ready"
+    robots = call(application, "list_robots").structured_content["robots"]
+    assert robots[0]["cameras"] == [{"name": "front", "role": "primary"}, {"name": "hand", "role": "wrist"}]
+    status = call(application, "get_status")
+    assert json.loads(status.content[0].text) == status.structured_content  # type: ignore[union-attr]
+    assert [m["module"] for m in status.structured_content["modules"]] == [
+        "robot",
+        "perception",
+        "inference",
+        "control",
+    ]
+    assert {m["phase"] for m in status.structured_content["modules"]} == {"stopped"}
+    assert status.structured_content["namespace"] == "gantry"
+
+
+def test_status_and_logs_are_resources(application: Application) -> None:
+    log = application.supervisor.log_path("robot")
+    log.parent.mkdir(parents=True)
+    log.write_text("first\nsecond\n")
+
+    async def ask() -> None:
+        async with Client(application.server) as client:
+            uris = {str(resource.uri) for resource in (await client.list_resources()).resources}
+            assert uris == {"roboneuron://status"} | {
+                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control")
+            }
+            status = (await client.read_resource("roboneuron://status")).contents[0]
+            assert json.loads(status.text)["namespace"] == "gantry"  # type: ignore[union-attr]
+            text = (await client.read_resource("roboneuron://logs/robot")).contents[0]
+            assert text.text == "first\nsecond"  # type: ignore[union-attr]
+            with pytest.raises(Exception, match=r"no resource 'roboneuron://logs/\.\./secret'"):
+                await client.read_resource("roboneuron://logs/../secret")
+
+    anyio.run(ask)
