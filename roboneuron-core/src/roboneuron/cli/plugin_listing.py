@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-import json
+import os
+import shutil
+import sys
+import textwrap
 from collections.abc import Sequence
 
 from roboneuron import __version__
@@ -21,7 +24,10 @@ STYLES = {
     Status.CONFLICT: "red",
     Status.FAILED: "bold red",
 }
-"""Colour of each status in tables."""
+"""Colour of each status in tables drawn by rich."""
+_CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33"}
+_NARROWEST = 24
+"""Columns a summary gets even on a terminal too narrow for it."""
 
 
 def troubled(registry: Registry) -> tuple[PluginRecord, ...]:
@@ -72,32 +78,56 @@ def _offer_document(offer: Offer) -> dict[str, object]:
 
 def to_json(registry: Registry) -> str:
     """The document of `to_document` as text."""
+    import json
+
     return json.dumps(to_document(registry), indent=2) + "\n"
 
 
-def print_table(registry: Registry) -> None:
-    """Write the table to stdout, and below it what to do about each plugin that is not ready."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+def print_table(registry: Registry, *, width: int | None = None, has_colour: bool | None = None) -> None:
+    """Write the table to stdout, and below it what to do about each plugin that is not ready.
 
-    console = Console(highlight=False)
+    Drawn here rather than by rich, whose import and rendering take longer than everything else that listing does.
+
+    Args:
+        registry: what to list.
+        width: columns to fill; the terminal's when None.
+        has_colour: use colours; only on a terminal, and not with NO_COLOR, when None.
+    """
     if not registry.plugins:
-        console.print("No plugins are installed. Try: pip install rn-robot-fr3 rn-backend-servo rn-controller-urdf")
+        print("No plugins are installed. Try: pip install rn-robot-fr3 rn-backend-servo rn-controller-urdf")
         return
-    table = Table(box=None, pad_edge=False, header_style="bold", collapse_padding=True)
-    for column in ("KIND", "NAME", "STATUS", "PLUGIN"):
-        table.add_column(column, no_wrap=True)
-    table.add_column("SUMMARY", overflow="fold")
-    for kind, name, status, plugin, summary in _rows(registry):
-        table.add_row(kind, Text(name, style="bold"), Text(status, style=STYLES[status]), plugin, Text(summary))
-    console.print(table)
+    if has_colour is None:
+        has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+    columns = shutil.get_terminal_size().columns if width is None else width
+    rows = _rows(registry)
+    heading = ("KIND", "NAME", "STATUS", "PLUGIN", "SUMMARY")
+    widths = [max(len(row[i]) for row in (heading, *rows)) for i in range(4)]
+    indent = sum(widths) + 2 * len(widths)
+    room = max(_NARROWEST, columns - indent)
+    print(_paint(_line(heading, widths), "bold", has_colour))
+    for row in rows:
+        first, *rest = textwrap.wrap(row[4], room) or [""]
+        status = f"{row[2]:<{widths[2]}}"
+        line = _line((*row[:4], first), widths)
+        print(line.replace(status, _paint(status, STYLES[row[2]], has_colour), 1))
+        for text in rest:
+            print(" " * indent + text)
     for record in troubled(registry):
-        console.print()
-        console.print(Text.assemble((record.distribution, "bold"), " is ", (record.status, STYLES[record.status])))
-        console.print(Text(f"  {record.reason}"))
+        print(f"\n{record.distribution} is {_paint(record.status, STYLES[record.status], has_colour)}")
+        for text in textwrap.wrap(record.reason, max(_NARROWEST, columns - 2)):
+            print(f"  {text}")
         if record.traceback:
-            console.print(Text(f"  traceback: roboneuron plugins show {record.distribution}", style="dim"))
+            print(_paint(f"  traceback: roboneuron plugins show {record.distribution}", "dim", has_colour))
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    padded = [f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=False)]
+    return "  ".join([*padded, cells[-1]]).rstrip()
+
+
+def _paint(text: str, style: str, has_colour: bool) -> str:
+    codes = ";".join(_CODES[word] for word in style.split())
+    return f"\x1b[{codes}m{text}\x1b[0m" if has_colour else text
 
 
 def _rows(registry: Registry) -> Sequence[tuple[str, str, Status, str, str]]:

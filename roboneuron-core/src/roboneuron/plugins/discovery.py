@@ -39,6 +39,15 @@ class _Finding:
     offers: tuple[Offer, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Claim:
+    """An entry point with its distribution's name and version, which cost reading a file each time they are asked."""
+
+    point: EntryPoint
+    distribution: str
+    version: str
+
+
 def discover(disabled: Collection[str] = ()) -> Registry:
     """Read all installed plugins, importing nothing but their plugin modules.
 
@@ -53,14 +62,17 @@ def discover(disabled: Collection[str] = ()) -> Registry:
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
     """As `discover`, for the given entry points."""
-    ordered = sorted(points, key=lambda p: (_distribution(p), p.value))
-    skipped = _check_disabled(disabled, {_distribution(p) for p in ordered})
-    findings = [_disable(p) if _normalise(_distribution(p)) in skipped else _examine(p) for p in ordered]
+    claims = sorted((_identify(point) for point in points), key=lambda c: (c.distribution, c.point.value))
+    skipped = _check_disabled(disabled, {c.distribution for c in claims})
+    findings = [_disable(c) if _normalise(c.distribution) in skipped else _examine(c) for c in claims]
     return _settle(findings)
 
 
-def _distribution(point: EntryPoint) -> str:
-    return point.dist.name if point.dist is not None else point.name
+def _identify(point: EntryPoint) -> _Claim:
+    if point.dist is None:
+        return _Claim(point=point, distribution=point.name, version="")
+    metadata = point.dist.metadata
+    return _Claim(point=point, distribution=metadata["Name"], version=metadata["Version"] or "")
 
 
 def _normalise(name: str) -> str:
@@ -79,33 +91,32 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     return set(wanted)
 
 
-def _record(point: EntryPoint, status: Status, reason: str = "", trace: str = "") -> PluginRecord:
-    version = point.dist.version if point.dist is not None else ""
+def _record(claim: _Claim, status: Status, reason: str = "", trace: str = "") -> PluginRecord:
     return PluginRecord(
-        distribution=_distribution(point),
-        version=version or "",
-        module=point.module,
+        distribution=claim.distribution,
+        version=claim.version,
+        module=claim.point.module,
         status=status,
         reason=reason,
         traceback=trace,
     )
 
 
-def _disable(point: EntryPoint) -> _Finding:
-    return _Finding(record=_record(point, Status.DISABLED, "Disabled by the configuration."))
+def _disable(claim: _Claim) -> _Finding:
+    return _Finding(record=_record(claim, Status.DISABLED, "Disabled by the configuration."))
 
 
-def _examine(point: EntryPoint) -> _Finding:
+def _examine(claim: _Claim) -> _Finding:
     """Import one plugin and call its hooks; every failure ends in its own record."""
     try:
         with redirect_stdout(sys.stderr):
-            specs = read_module(point.load())
+            specs = read_module(claim.point.load())
     except PluginError as error:
-        return _Finding(record=_record(point, Status.FAILED, str(error), _trace(error)))
+        return _Finding(record=_record(claim, Status.FAILED, str(error), _trace(error)))
     except (Exception, SystemExit) as error:
-        where = f"Importing {point.value} raised {type(error).__name__}: {error}"
-        return _Finding(record=_record(point, Status.FAILED, where, traceback.format_exc()))
-    record = replace(_record(point, Status.READY), specs=specs)
+        where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
+        return _Finding(record=_record(claim, Status.FAILED, where, traceback.format_exc()))
+    record = replace(_record(claim, Status.READY), specs=specs)
     return _Finding(record=record, offers=tuple(_offer(spec, record.distribution) for spec in specs))
 
 
