@@ -1,0 +1,226 @@
+"""The driver `simulated`: runs a simulated base in real time in a thread of its own."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+
+from rn_robot_bases.odometry import PlanarPose, to_message
+from rn_robot_bases.options import SimulatedBaseOptions
+from rn_robot_bases.platform import PLATFORMS
+from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
+from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
+from roboneuron.contract import (
+    TWIST_FIELDS,
+    JointCommand,
+    JointSample,
+    RobotProfile,
+    RobotState,
+    Topics,
+    check_twist,
+)
+from roboneuron.errors import (
+    ConfigurationError,
+    InvalidInputError,
+    NotReadyError,
+    RefusedError,
+    RoboNeuronError,
+    StateError,
+    UnsafeError,
+)
+
+_START_TIMEOUT_S = 30.0
+_STOP_TIMEOUT_S = 5.0
+_STEPS_PER_BEAT = 2
+_BEAT_S = _STEPS_PER_BEAT * STEP_S
+_MOST_BEATS_AT_ONCE = 24
+"""What the simulation catches up after a pause of the machine: 0.2 s, less than the deadman; the rest is dropped."""
+
+
+class SimulatedBase:
+    """Follows the protocol `RobotDriver`; every method may be called from any thread.
+
+    Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry out is refused as a
+    whole, and the base brakes: whoever sent it is mistaken about the robot. The deadman counts simulated time, the
+    base's own clock, which runs with the wall clock unless the machine is overloaded.
+    """
+
+    def __init__(self, config: SimulatedBaseOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        """Remember what to simulate."""
+        self._options = config or SimulatedBaseOptions()
+        self._profile = profile
+        self._topics = topics
+        self._simulation: Simulation | None = None
+        self._publish: Callable[[Odometry], None] | None = None
+        self._stepping = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._started = threading.Event()
+        self._stop = threading.Event()
+        self._newest: tuple[BaseState, int] | None = None
+        self._failure: Exception | None = None
+        self._refusal = ""
+        self._refusals = 0
+
+    def open(self) -> None:
+        """Put the base on the floor, at rest, and let time run.
+
+        Raises:
+            ConfigurationError: the profile is none of this package.
+            NotReadyError: the simulation did not start in time.
+            StateError: it is open already.
+        """
+        name = self._profile.name
+        if self._thread is not None:
+            raise StateError(f"The simulated {name} is open already.")
+        if name not in PLATFORMS:
+            raise ConfigurationError(f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}.")
+        self._simulation = Simulation(PLATFORMS[name], command_timeout_s=self._options.command_timeout_s)
+        self._started.clear()
+        self._stop.clear()
+        self._failure, self._newest = None, None
+        self._refusal, self._refusals = "", 0
+        if self._publish is None:
+            self._publish = self._topics.advertise(ODOMETRY, Odometry)
+            self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
+        self._thread = threading.Thread(target=self._run, name=f"{name}-simulation", daemon=True)
+        self._thread.start()
+        if not self._started.wait(_START_TIMEOUT_S):
+            self.close()
+            raise NotReadyError(f"The simulated {name} did not start within {_START_TIMEOUT_S:g} s.")
+        self._check_started()
+
+    def read(self) -> RobotState:
+        """Return the newest state: joints are wheels and steering hinges.
+
+        `detail` holds "odometry" and "true_pose" (JSON: x_m, y_m, yaw_rad; the second is the simulator's truth, for
+        judging only), "motion" (driving, standing, or stopping and why), "sim_time_s", and "refused" and
+        "refused_count" of velocity commands.
+
+        Raises:
+            StateError: not open.
+            UnsafeError: the simulation failed while running.
+        """
+        self._running()
+        newest = self._newest
+        if newest is None:
+            raise StateError(f"The simulated {self._profile.name} is not open.")
+        state, stamp_ns = newest
+        return RobotState(
+            joints=JointSample(
+                names=tuple(state.joint_position),
+                position=np.array(list(state.joint_position.values())),
+                velocity=np.array(list(state.joint_velocity.values())),
+                stamp_ns=stamp_ns,
+            ),
+            detail={
+                "odometry": _described(state.odometry),
+                "true_pose": _described(state.true_pose),
+                "motion": state.motion,
+                "sim_time_s": f"{state.time_s:.3f}",
+                "refused": self._refusal,
+                "refused_count": str(self._refusals),
+            },
+        )
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Always raises InvalidInputError: a base takes no joint positions."""
+        raise InvalidInputError(
+            f"A mobile base is driven by {CMD_VEL}, {self._profile.name} takes no joint command.",
+            hint=f"Publish geometry_msgs/Twist on {CMD_VEL}.",
+        )
+
+    def hold(self) -> None:
+        """Brake to a standstill. Raises as `read`."""
+        simulation = self._running()
+        with self._stepping:
+            simulation.hold()
+
+    def close(self) -> None:
+        """End the simulation; may be called twice and before `open`."""
+        self._stop.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join(_STOP_TIMEOUT_S)
+        self._newest = None
+
+    def _on_twist(self, message: Twist) -> None:
+        """Called by the host's executor; it must not raise."""
+        simulation = self._simulation
+        if self._thread is None or simulation is None or self._failure is not None:
+            return
+        linear, angular = message.linear, message.angular
+        values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        with self._stepping:
+            try:
+                check_twist(velocity_endpoint(simulation.platform), dict(zip(TWIST_FIELDS, values, strict=True)))
+                simulation.drive(linear.x, angular.z)
+            except RefusedError as error:
+                simulation.hold("a command was refused")
+                self._refusal = str(error)
+                self._refusals += 1
+            else:
+                self._refusal = ""
+
+    def _check_started(self) -> None:
+        failure = self._failure
+        if failure is None:
+            return
+        self.close()
+        if isinstance(failure, RoboNeuronError):
+            raise failure
+        raise NotReadyError(f"The simulated {self._profile.name} did not start: {failure}.") from failure
+
+    def _running(self) -> Simulation:
+        if self._thread is None or self._simulation is None:
+            raise StateError(f"The simulated {self._profile.name} is not open.")
+        if self._failure is not None:
+            raise UnsafeError(f"The simulation stopped: {self._failure}.", hint="Stop and start the robot.")
+        return self._simulation
+
+    def _run(self) -> None:
+        simulation = self._simulation
+        assert simulation is not None
+        try:
+            with simulation:
+                self._advance(simulation, 0, publish=True)
+                self._started.set()
+                self._keep_pace(simulation)
+        except Exception as error:  # the thread's border: open(), read() and hold() raise it
+            self._failure = error
+            self._started.set()
+
+    def _keep_pace(self, simulation: Simulation) -> None:
+        due_s = time.monotonic() + _BEAT_S
+        publish_s = time.monotonic()
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            now_s = time.monotonic()
+            beats = int((now_s - due_s) / _BEAT_S) + 1
+            if beats > _MOST_BEATS_AT_ONCE:
+                beats, due_s = _MOST_BEATS_AT_ONCE, now_s
+            else:
+                due_s += beats * _BEAT_S
+            is_due = now_s >= publish_s
+            if is_due:
+                publish_s = max(publish_s + 1.0 / self._options.odometry_rate_hz, now_s - _BEAT_S)
+            self._advance(simulation, beats * _STEPS_PER_BEAT, publish=is_due)
+
+    def _advance(self, simulation: Simulation, steps: int, *, publish: bool) -> None:
+        with self._stepping:
+            simulation.step(steps)
+            state = simulation.state()
+        stamp_ns = self._topics.now_ns()
+        self._newest = (state, stamp_ns)
+        if publish and self._publish is not None:
+            link = self._profile.base_link
+            self._publish(to_message(state.odometry, state.velocity, stamp_ns=stamp_ns, base_link=link))
+
+
+def _described(pose: PlanarPose) -> str:
+    rounded = {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_rad": round(pose.yaw_rad, 4)}
+    return json.dumps(rounded, separators=(",", ":"))

@@ -1,0 +1,50 @@
+"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as on a real base."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from nav_msgs.msg import Odometry
+
+from rn_robot_bases.drivetrain import BaseVelocity
+
+ODOM_FRAME = "odom"
+"""Frame in which the pose is given: that of the base when it was started."""
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlanarPose:
+    """Position [m] and heading [rad, counter-clockwise, not wrapped] on the floor."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+
+def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> PlanarPose:
+    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts (second order)."""
+    turn = velocity.angular_z * step_s
+    heading = pose.yaw_rad + turn / 2.0
+    forwards, leftwards = velocity.linear_x * step_s, velocity.linear_y * step_s
+    return PlanarPose(
+        x_m=pose.x_m + math.cos(heading) * forwards - math.sin(heading) * leftwards,
+        y_m=pose.y_m + math.sin(heading) * forwards + math.cos(heading) * leftwards,
+        yaw_rad=pose.yaw_rad + turn,
+    )
+
+
+def to_message(pose: PlanarPose, velocity: BaseVelocity, *, stamp_ns: int, base_link: str) -> Odometry:
+    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they are not estimated."""
+    message = Odometry(child_frame_id=base_link)
+    message.header.frame_id = ODOM_FRAME
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp_ns), _NS_PER_S)
+    message.pose.pose.position.x = float(pose.x_m)
+    message.pose.pose.position.y = float(pose.y_m)
+    message.pose.pose.orientation.z = math.sin(pose.yaw_rad / 2.0)
+    message.pose.pose.orientation.w = math.cos(pose.yaw_rad / 2.0)
+    message.twist.twist.linear.x = float(velocity.linear_x)
+    message.twist.twist.linear.y = float(velocity.linear_y)
+    message.twist.twist.angular.z = float(velocity.angular_z)
+    return message

@@ -1,0 +1,16 @@
+"""Options a user may set for a simulated base."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class SimulatedBaseOptions(BaseModel):
+    """Options of the driver `simulated`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    command_timeout_s: float = Field(
+        default=0.5, ge=0.05, le=5.0, description="The base brakes when no velocity command came for this long [s]."
+    )
+    odometry_rate_hz: float = Field(default=50.0, ge=1.0, le=120.0, description="How often odometry is published.")

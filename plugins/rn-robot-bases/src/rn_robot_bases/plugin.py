@@ -1,0 +1,39 @@
+"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its simulated driver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import DriverSpec, Requirement, RobotSpec
+
+_PYBULLET = Requirement(module="pybullet", install="pip install pybullet")
+
+
+def _base(name: str, summary: str) -> RobotSpec:
+    return RobotSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_robot_bases.profile:{name}_profile",
+        robot_kind="base",
+        action_widths=(),
+        drivers=(
+            DriverSpec(
+                name="simulated",
+                summary="PyBullet simulation on a flat floor, with wheel odometry",
+                target="rn_robot_bases.driver:SimulatedBase",
+                config="rn_robot_bases.options:SimulatedBaseOptions",
+                requires=(_PYBULLET,),
+            ),
+        ),
+    )
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    """The mobile bases."""
+    return [
+        _base("diffdrive", "Small differential-drive base: two wheels and casters, turns on the spot"),
+        _base("husky", "Four-wheeled skid-steered base of the size of a Clearpath Husky, turns on the spot"),
+        _base("racecar", "Scale model car with Ackermann steering: turning radius at least 0.75 m"),
+    ]

@@ -1,0 +1,155 @@
+"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the driver in real time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+
+from rn_robot_bases.drivetrain import BaseVelocity, JointValues
+from rn_robot_bases.odometry import PlanarPose, integrate
+from rn_robot_bases.platform import Platform
+from rn_robot_bases.profile import check_twist
+from rn_robot_bases.world import World
+from roboneuron.errors import StateError
+
+STEP_S = 1.0 / 240.0
+"""Physics step [s]."""
+_SETTLING_STEPS = 120
+_STILL = BaseVelocity(linear_x=0.0, linear_y=0.0, angular_z=0.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BaseState:
+    """A base at one moment.
+
+    Attributes:
+        time_s: simulated time since `open`.
+        joint_position, joint_velocity: of every wheel [rad, rad/s] and hinge [rad, rad/s], by name.
+        odometry: where it is by its wheel encoders, in the frame it started in.
+        velocity: how it moves by its wheel encoders, in its own frame.
+        true_pose: where it really is; for judging and tests only.
+        setpoint: speed [m/s] and turning rate [rad/s] that its motors aim at now.
+        motion: "driving", "standing", or "stopping: ..." with the reason.
+    """
+
+    time_s: float
+    joint_position: JointValues
+    joint_velocity: JointValues
+    odometry: PlanarPose
+    velocity: BaseVelocity
+    true_pose: PlanarPose
+    setpoint: tuple[float, float]
+    motion: str
+
+
+class Simulation:
+    """One base on a flat floor with its motion controller, its deadman and its odometry; used from one thread.
+
+    Use it as a context manager, or call `open` and `close`. The same calls give the same motion.
+    """
+
+    def __init__(self, platform: Platform, *, command_timeout_s: float = 0.5) -> None:
+        """Choose the platform; `command_timeout_s` of simulated time after the last command it brakes."""
+        self.platform = platform
+        self._timeout_s = command_timeout_s
+        self._world: World | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._steps = 0
+        self._drivetrain = self.platform.drivetrain()
+        self._odometry = PlanarPose()
+        self._velocity = _STILL
+        self._positions: JointValues = {}
+        self._velocities: JointValues = {}
+        self._command_s: float | None = None
+        self._motion = "standing"
+
+    def __enter__(self) -> Simulation:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Build the world and let the base settle on its wheels. Raises StateError when it is open already."""
+        if self._world is not None:
+            raise StateError(f"The simulated {self.platform.name} is open already.")
+        self._reset()
+        self._world = World(self.platform, STEP_S)
+        for _ in range(_SETTLING_STEPS):
+            self._world.step(self._drivetrain.advance(STEP_S))
+        self._positions = self._world.joint_positions()
+        self._velocities = dict.fromkeys(self._positions, 0.0)
+
+    def close(self) -> None:
+        """Destroy the world; may be called twice and before `open`."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Go for this velocity until the next command, or until `command_timeout_s` has passed.
+
+        Raises:
+            RefusedError: the platform cannot drive like that; the velocity stays what it was.
+        """
+        check_twist(self.platform, linear_m_s, angular_rad_s)
+        self._drivetrain.aim(linear_m_s, angular_rad_s)
+        self._command_s = self.time_s
+        self._motion = "driving" if linear_m_s or angular_rad_s else "standing"
+
+    def hold(self, reason: str = "held") -> None:
+        """Brake to a standstill and stay."""
+        self._drivetrain.halt()
+        self._command_s = None
+        self._motion = f"stopping: {reason}"
+
+    def step(self, count: int = 1) -> None:
+        """Advance by `count` physics steps of `STEP_S`. Raises StateError unless open."""
+        world = self._opened()
+        for _ in range(count):
+            if self._command_s is not None and self.time_s - self._command_s > self._timeout_s:
+                self.hold(f"no command for {self._timeout_s:g} s")
+            world.step(self._drivetrain.advance(STEP_S))
+            self._steps += 1
+            positions = world.joint_positions()
+            self._velocities = {n: (p - self._positions[n]) / STEP_S for n, p in positions.items()}
+            self._positions = positions
+            self._velocity = self._drivetrain.measure(self._velocities, positions)
+            self._odometry = integrate(self._odometry, self._velocity, STEP_S)
+
+    def run(self, linear_m_s: float, angular_rad_s: float, duration_s: float) -> BaseState:
+        """Drive for `duration_s`, commanding as often as a client would; returns the state at the end."""
+        for _ in range(round(duration_s / STEP_S)):
+            self.drive(linear_m_s, angular_rad_s)
+            self.step()
+        return self.state()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since `open` [s]."""
+        return self._steps * STEP_S
+
+    def state(self) -> BaseState:
+        """Everything there is to know now. Raises StateError unless open."""
+        return BaseState(
+            time_s=self.time_s,
+            joint_position=self._positions,
+            joint_velocity=self._velocities,
+            odometry=self._odometry,
+            velocity=self._velocity,
+            true_pose=self._opened().base_pose(),
+            setpoint=self._drivetrain.setpoint,
+            motion=self._motion,
+        )
+
+    def _opened(self) -> World:
+        if self._world is None:
+            raise StateError(
+                f"The simulated {self.platform.name} is not open.", hint="Call open() or use it as a context manager."
+            )
+        return self._world

@@ -1,0 +1,23 @@
+"""The contract kit, run against every base of this package."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_robot_bases.platform import PLATFORMS
+from rn_robot_bases.plugin import roboneuron_robots
+from roboneuron.testing import RobotCase, RobotContract
+
+SPECS = {spec.name: spec for spec in roboneuron_robots()}
+
+
+class TestBases(RobotContract):
+    """Each descriptor in turn."""
+
+    @pytest.fixture(params=SPECS)
+    def plugin(self, request: pytest.FixtureRequest) -> RobotCase:
+        return RobotCase(spec=SPECS[request.param])
+
+
+def test_every_platform_is_offered() -> None:
+    assert set(SPECS) == set(PLATFORMS)
