@@ -6,7 +6,7 @@ Importing this package imports no ROS; loading an interface imports that interfa
 from __future__ import annotations
 
 from roboneuron.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
-from roboneuron.interfaces.description import Array, Choice, Field, Message, Nested, Plain, Scalar
+from roboneuron.interfaces.description import Array, Choice, Field, FieldType, Message, Nested, Plain, Scalar
 from roboneuron.interfaces.interface import (
     ActionInterface,
     Interface,
@@ -28,6 +28,7 @@ __all__ = [
     "Choice",
     "DecodeLimits",
     "Field",
+    "FieldType",
     "InputLimits",
     "Interface",
     "InterfaceLoader",

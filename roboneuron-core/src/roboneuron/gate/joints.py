@@ -1,0 +1,144 @@
+"""Joint limits for JointTrajectory and JointState commands: names, positions, velocities, times, the first step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from roboneuron.contract import JointSample, RobotProfile
+from roboneuron.errors import RefusedError
+
+TOLERANCE = 1e-6
+"""Relative; limits are printed and parsed as decimals on the way."""
+MAX_POINTS = 2000
+JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
+"""Messages that can be checked."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JointLimit:
+    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has none."""
+
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+    effort: float
+
+
+def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
+    """Limits by joint name: the arm's, and the gripper's travel."""
+    found: dict[str, JointLimit] = {}
+    if profile.limits is not None:
+        arrays = profile.limits
+        for i, name in enumerate(profile.arm_joints):
+            found[name] = JointLimit(
+                lower=float(arrays.lower[i]),
+                upper=float(arrays.upper[i]),
+                velocity=float(arrays.velocity[i]),
+                acceleration=float(arrays.acceleration[i]),
+                effort=float(arrays.effort[i]),
+            )
+    if profile.gripper is not None:
+        ends = sorted((profile.gripper.closed_position, profile.gripper.open_position))
+        free = float("inf")
+        found[profile.gripper.joint] = JointLimit(
+            lower=ends[0], upper=ends[1], velocity=free, acceleration=free, effort=free
+        )
+    return found
+
+
+def check_joints(profile: RobotProfile, message: Any, joints: JointSample | None) -> None:
+    """Raise unless the arm can follow the command within its limits.
+
+    A trajectory must reach each point with the joints' own velocities, the first one from where the joints are.
+
+    Args:
+        profile: the robot's.
+        message: JointTrajectory or JointState.
+        joints: newest measured joints.
+
+    Raises:
+        RefusedError: says which joint, what was asked, what is allowed.
+    """
+    limits = joint_limits(profile)
+    if hasattr(message, "points"):
+        _check_trajectory(limits, message, joints)
+    else:
+        names = _check_names(limits, message.name)
+        if not (len(message.position) or len(message.velocity)):
+            raise RefusedError("The joint command holds neither positions nor velocities.")
+        _check_arrays(limits, names, message.position, message.velocity, (), message.effort, "")
+
+
+def _check_names(limits: dict[str, JointLimit], names: Sequence[str]) -> Sequence[str]:
+    if not names:
+        raise RefusedError("The joint command names no joints.")
+    unknown = [name for name in names if name not in limits]
+    if unknown:
+        raise RefusedError(f"Joint {unknown[0][:60]!r} is unknown, the robot has {', '.join(limits)}.")
+    if len(set(names)) != len(names):
+        raise RefusedError("The joint command names a joint twice.")
+    return names
+
+
+def _check_arrays(
+    limits: dict[str, JointLimit], names: Sequence[str],
+    position: Any, velocity: Any, acceleration: Any, effort: Any, where: str,
+) -> None:  # fmt: skip
+    for word, values in (
+        ("position", position),
+        ("velocity", velocity),
+        ("acceleration", acceleration),
+        ("effort", effort),
+    ):
+        if len(values) not in (0, len(names)):
+            raise RefusedError(f"{where}{word} has {len(values)} values for {len(names)} joints.")
+        for name, value in zip(names, values, strict=False):
+            limit = limits[name]
+            high = limit.upper if word == "position" else getattr(limit, word)
+            low = limit.lower if word == "position" else -high
+            slack = TOLERANCE * max(1.0, abs(low), abs(high)) if high < float("inf") else 0.0
+            if not low - slack <= value <= high + slack:
+                raise RefusedError(f"{where}{word} of {name} is {value:.4g}, allowed is {low:.4g} .. {high:.4g}.")
+
+
+def _check_trajectory(limits: dict[str, JointLimit], message: Any, joints: JointSample | None) -> None:
+    names = _check_names(limits, message.joint_names)
+    if not 1 <= len(message.points) <= MAX_POINTS:
+        raise RefusedError(f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}.")
+    before, before_s = _measured(names, joints), 0.0
+    for index, point in enumerate(message.points):
+        where = f"points[{index}]: "
+        if len(point.positions) != len(names):
+            raise RefusedError(f"{where}{len(point.positions)} positions for {len(names)} joints.")
+        _check_arrays(limits, names, point.positions, point.velocities, point.accelerations, point.effort, where)
+        at_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
+        if not (at_s > before_s or (index == 0 and at_s == 0.0 and _is_same(before, point.positions))):
+            raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
+        for name, start, end in zip(names, before, point.positions, strict=True):
+            needed = abs(end - start) / (at_s - before_s) if at_s > before_s else 0.0
+            if needed > limits[name].velocity * (1.0 + TOLERANCE):
+                raise RefusedError(
+                    f"{where}{name} would move at {needed:.4g} per second, allowed is {limits[name].velocity:.4g}.",
+                    hint="Give the step more time.",
+                )
+        before, before_s = list(point.positions), at_s
+
+
+def _measured(names: Sequence[str], joints: JointSample | None) -> list[float]:
+    if joints is None:
+        raise RefusedError(
+            "The joints were not measured yet, so that the first step cannot be checked.", hint="Start the robot first."
+        )
+    known = dict(zip(joints.names, joints.position, strict=True))
+    missing = [name for name in names if name not in known]
+    if missing:
+        raise RefusedError(f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be checked.")
+    return [float(known[name]) for name in names]
+
+
+def _is_same(before: Sequence[float], positions: Sequence[float]) -> bool:
+    """A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre."""
+    return all(abs(a - b) <= 1e-3 for a, b in zip(before, positions, strict=True))
