@@ -165,7 +165,7 @@ class RobotDriver(Protocol):
         ...
 
     def read(self) -> RobotState:
-        """Return the newest measured state without blocking for more than a millisecond. Raises StateError unless open."""
+        """Return the newest measured state without blocking for over a millisecond. Raises StateError unless open."""
         ...
 
     def send(self, command: JointCommand) -> JointCommand:

@@ -1,0 +1,101 @@
+"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with FastV, pi0 in turns."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+
+from roboneuron.demo.agent import Agent
+from roboneuron.ros.environment import prepare_environment
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
+INSTRUCTION = "pick up the red cube"
+
+
+@pytest.fixture(scope="module")
+def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A tiny random checkpoint in the public layout for each family, made by the plugins' own commands."""
+    made = {}
+    for name in ("openvla", "oft", "pi0"):
+        made[name] = str(tmp_path_factory.mktemp("checkpoints") / name)
+        command = [str(Path(sys.executable).parent / f"roboneuron-{name}"), "make-tiny", made[name]]
+        subprocess.run(command, check=True, timeout=120, capture_output=True)
+    return made
+
+
+@pytest.fixture
+def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+    """A node that looks at the same ROS graph as the server."""
+    for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "AMENT_PREFIX_PATH", "ROS_LOG_DIR"):
+        monkeypatch.delenv(key, raising=False)
+    prepare_environment(tmp_path / "log")
+    import rclpy
+
+    context = rclpy.Context()
+    context.init(domain_id=int(environment["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("onlooker", context=context)
+    yield node
+    node.destroy_node()
+    context.shutdown()
+
+
+def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Type and publishers' names of every topic of the contract."""
+    return {
+        name: (
+            types[0],
+            tuple(sorted({f"{p.node_namespace}/{p.node_name}" for p in graph.get_publishers_info_by_topic(name)})),
+        )
+        for name, types in graph.get_topic_names_and_types()
+        if name.startswith("/fr3/") and not name.split("/")[-1].startswith(("_", "transition_event", "parameter"))
+    }
+
+
+def process_ids(status: dict[str, Any]) -> dict[str, int]:
+    return {m["module"]: m["pid"] for m in status["modules"] if m["module"] != "inference"}
+
+
+def test_topics_and_processes_stay_while_four_models_take_turns(
+    environment: dict[str, str], checkpoints: dict[str, str], graph: Any, tmp_path: Path
+) -> None:
+    turns: list[dict[str, Any]] = [
+        {"backend": "openvla", "checkpoint": checkpoints["openvla"], "options": {"profile": "libero"}},
+        {
+            "backend": "oft",
+            "checkpoint": checkpoints["oft"],
+            "acceleration": "fastv-p50",
+            "options": {"profile": "libero", "constants": "libero", "proprio": True},
+        },
+        {"backend": "pi0", "checkpoint": checkpoints["pi0"], "options": {"profile": "libero", "cpu_threads": 1}},
+    ]
+
+    async def play() -> None:
+        server = StdioServerParameters(
+            command=sys.executable, args=["-m", "roboneuron.cli.main", "serve"], env=environment
+        )
+        async with Client(server) as client:
+            agent = Agent(client)
+            for module in ("robot", "perception", "control"):
+                await agent.call(f"start_{module}")
+            await agent.call("start_inference", {"instruction": INSTRUCTION})
+            topics, processes = contract_topics(graph), process_ids(await agent.status())
+            assert topics["/fr3/action"] == ("std_msgs/msg/Float64MultiArray", ("/fr3/inference",))
+            for turn in turns:
+                await agent.call("switch_inference", turn)
+                status = await agent.status()
+                inference = next(m for m in status["modules"] if m["module"] == "inference")
+                assert inference["metrics"]["backend"] == turn["backend"]
+                assert inference["actions_for_instruction"] > 0
+                assert inference["instruction"] == INSTRUCTION
+                assert contract_topics(graph) == topics
+                assert process_ids(status) == processes
+            await agent.call("stop_all")
+
+    anyio.run(play)
