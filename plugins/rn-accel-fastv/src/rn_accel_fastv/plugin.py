@@ -11,24 +11,34 @@ FAMILIES = ("openvla", "openvla-oft")
 """Model families whose visual tokens stand in one span behind the first token."""
 
 
-def _spec(name: str, summary: str, target: str, config: str) -> AccelerationSpec:
+def _spec(name: str, summary: str, target: str, config: str, case: str) -> AccelerationSpec:
     return AccelerationSpec(
         name=name,
         summary=summary,
         target=f"rn_accel_fastv.preset:{target}",
         config=f"rn_accel_fastv.config:{config}",
-        requires=(Requirement(module="torch", install="pip install torch"),),
+        case=f"rn_accel_fastv.case:{case}",
+        requires=(
+            Requirement(module="torch", install="pip install torch"),
+            Requirement(module="rn_runtime_torch", install="pip install rn-runtime-torch"),
+        ),
         families=FAMILIES,
         capability="visual-token-pruning",
+    )
+
+
+def _named(percent: int) -> AccelerationSpec:
+    return _spec(
+        f"fastv-p{percent}",
+        f"FastV: drops {percent} % of the visual tokens after two layers.",
+        f"FastVP{percent}",
+        "PresetConfig",
+        f"p{percent}_case",
     )
 
 
 @hookimpl
 def roboneuron_accelerations() -> Sequence[AccelerationSpec]:
     """FastV with named and with free shares of dropped visual tokens."""
-    return (
-        _spec("fastv-p25", "FastV: drops 25 % of the visual tokens after two layers.", "FastVP25", "PresetConfig"),
-        _spec("fastv-p50", "FastV: drops 50 % of the visual tokens after two layers.", "FastVP50", "PresetConfig"),
-        _spec("fastv-p75", "FastV: drops 75 % of the visual tokens after two layers.", "FastVP75", "PresetConfig"),
-        _spec("fastv", "FastV with a free layer k and share r of dropped visual tokens.", "FastV", "FastVConfig"),
-    )
+    free = "FastV with a free layer k and a free share r of dropped visual tokens."
+    return (_named(25), _named(50), _named(75), _spec("fastv", free, "FastV", "FastVConfig", "free_case"))

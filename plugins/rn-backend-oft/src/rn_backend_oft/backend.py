@@ -148,8 +148,6 @@ class OftBackend:
         return ActionChunk(actions=actions[: self._config.execute], step_s=self._profile.step_s, metrics=metrics)
 
     def _normalized_state(self, observation: Observation) -> F32 | None:
-        if observation.ee_pose is None and self._profile.frame == "tcp":
-            raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
         state = read_state(
             observation,
             self._constants.state,

@@ -11,12 +11,13 @@ MAX_CHUNK = 25
 """Most actions that one inference may yield."""
 
 
-def _spec(name: str, summary: str, target: str, cameras: tuple[str, ...]) -> BackendSpec:
+def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, ...]) -> BackendSpec:
     return BackendSpec(
         name=name,
         summary=summary,
         target=f"rn_backend_oft.backend:{target}",
         config="rn_backend_oft.config:OftConfig",
+        case=f"rn_backend_oft.case:{case}",
         requires=(
             Requirement(module="torch", install="pip install torch"),
             Requirement(module="tokenizers", install="pip install tokenizers"),
@@ -48,12 +49,14 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "oft",
             "OpenVLA-OFT: a chunk of actions in one pass, from a primary and a wrist camera and the measured state.",
             "OftBackend",
+            "oft_case",
             ("primary", "wrist"),
         ),
         _spec(
             "oft-primary",
             "OpenVLA-OFT checkpoints trained with the primary camera only.",
             "OftPrimaryBackend",
+            "oft_primary_case",
             ("primary",),
         ),
     )

@@ -17,7 +17,7 @@ from rn_backend_openvla.prompt import PromptEncoder
 from rn_backend_openvla.statistics import Scaling, choose_statistics
 from roboneuron.contract.action import ACTION_SIZE, ActionChunk
 from roboneuron.contract.decoding import TokenReply
-from roboneuron.contract.observation import Observation
+from roboneuron.contract.observation import Observation, Pose
 from roboneuron.contract.protocols import Acceleration, Runtime
 from roboneuron.errors import CheckpointError, ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
 
@@ -92,8 +92,8 @@ class OpenVlaBackend:
             raise UngroundedError(
                 f"The observation has no image of role {CAMERA!r}, only {sorted(observation.frames)}."
             )
-        if self.frame == "tcp" and observation.ee_pose is None:
-            raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
+        if self.frame == "tcp":
+            check_pose(observation.ee_pose)
         text = self._encoder.to_text(observation.instruction)
         image = self._preprocessor.to_model_image(frame.image)
         request = token_request(
@@ -143,6 +143,14 @@ def _check_no_components(checkpoint: Checkpoint) -> None:
         raise CheckpointError(
             f"{checkpoint.path} holds {found[0].name}: it is an OpenVLA-OFT checkpoint.", hint="Use the backend 'oft'."
         )
+
+
+def check_pose(pose: Pose | None) -> None:
+    """Raise UngroundedError unless there is a pose with finite values."""
+    if pose is None:
+        raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
+    if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.quaternion_xyzw).all()):
+        raise UngroundedError("The measured TCP pose holds a non-finite value; the robot is to hold.")
 
 
 def check_frame(profile: str, backend: str) -> None:

@@ -14,12 +14,13 @@ _REQUIRES = (
 )
 
 
-def _spec(name: str, summary: str, target: str, frame: str, needs_state: bool) -> BackendSpec:
+def _spec(name: str, summary: str, target: str, case: str, frame: str, needs_state: bool) -> BackendSpec:
     return BackendSpec(
         name=name,
         summary=summary,
         target=f"rn_backend_openvla.backend:{target}",
         config="rn_backend_openvla.config:OpenVlaConfig",
+        case=f"rn_backend_openvla.case:{case}",
         requires=_REQUIRES,
         cameras=("primary",),
         needs_state=needs_state,
@@ -41,6 +42,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "openvla",
             "OpenVLA (7B and alike): one action per image from seven decoded tokens; base-frame checkpoints.",
             "OpenVlaBackend",
+            "openvla_case",
             "base",
             False,
         ),
@@ -48,6 +50,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "openvla-tcp",
             "OpenVLA checkpoints trained on tool-frame actions; also reads the measured TCP pose.",
             "OpenVlaTcpBackend",
+            "openvla_tcp_case",
             "tcp",
             True,
         ),

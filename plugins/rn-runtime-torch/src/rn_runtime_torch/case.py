@@ -13,7 +13,7 @@ from roboneuron.testing import RuntimeCase
 
 def torch_case() -> RuntimeCase:
     """The runtime `torch` on the CPU."""
-    from rn_runtime_torch.toy import ToyPolicy  # heavy: torch
+    from rn_runtime_torch.toy import EveryOtherToken, ToyPolicy  # heavy: torch
 
     def policy() -> ToyPolicy:
         return ToyPolicy(path=_directory())
@@ -24,6 +24,7 @@ def torch_case() -> RuntimeCase:
         model=lambda: policy().model(),
         request=lambda: policy().token_request(),
         bad_request=lambda: policy().token_request(count=65),
+        acceleration=EveryOtherToken,
     )
 
 

@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from rn_runtime_torch.decoder import Decoder
+from rn_runtime_torch.pruning import AttentionView, PrunableDecoder
 from roboneuron.contract.decoding import DecoderShape, PolicyModel, Prompt, RowsRequest, Shard, TokenRequest, Weight
 
 FEATURES = 6
@@ -115,3 +116,18 @@ class ToyPolicy:
     def rows_request(self, count: int = 9, seed: int = 0) -> RowsRequest:
         """Read four rows, two before the end."""
         return RowsRequest(prompt=self._prompt(count, seed), rows=4, tail=2, read="hidden")
+
+
+class EveryOtherToken:
+    """An acceleration that is its own selection: keeps every other visual token after one layer."""
+
+    layer = 1
+
+    def apply(self, decoder: PrunableDecoder) -> None:
+        """See `roboneuron.contract.Acceleration`."""
+        decoder.install_selection(self)
+
+    def select(self, view: AttentionView) -> Tensor:
+        """See `rn_runtime_torch.pruning.TokenSelection`."""
+        start, end, count = view.visual_start, view.visual_start + view.visual_count, view.key.shape[2]
+        return torch.tensor([*range(start), *range(start, end, 2), *range(end, count)], device=view.key.device)

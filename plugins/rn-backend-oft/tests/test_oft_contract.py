@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import pytest
+
+from rn_backend_oft.case import oft_case, oft_primary_case
+from roboneuron.testing import BackendCase, BackendContract, PackageCase, PackageContract
+
+
+class TestOft(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return oft_case()
+
+
+class TestOftPrimary(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return oft_primary_case()
+
+
+class TestOftPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-backend-oft")

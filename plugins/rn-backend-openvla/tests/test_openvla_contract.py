@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import pytest
+
+from rn_backend_openvla.case import openvla_case, openvla_tcp_case
+from roboneuron.testing import BackendCase, BackendContract, PackageCase, PackageContract
+
+
+class TestOpenVla(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return openvla_case()
+
+
+class TestOpenVlaTcp(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return openvla_tcp_case()
+
+
+class TestOpenVlaPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-backend-openvla")
