@@ -46,9 +46,10 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
 class World:
     """A ROS context of its own with one node for the test and the modules it starts, spun by a thread."""
 
-    def __init__(self, log_directory: Path) -> None:
+    def __init__(self, state_directory: Path) -> None:
+        self.state_directory = state_directory
         os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
-        prepare_environment(log_directory)
+        prepare_environment(state_directory / "log")
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
@@ -90,7 +91,9 @@ class World:
             "perception": PerceptionModule,
             "robot": RobotModule,
         }
-        settings = ModuleSettings(kind=kind, node_name=kind, config=parse_config(text), state_directory=".")
+        settings = ModuleSettings(
+            kind=kind, node_name=kind, config=parse_config(text), state_directory=str(self.state_directory)
+        )
         node = ModuleNode(settings, classes[kind])
         self.executor.add_node(node)
         self.modules.append(node)
@@ -143,7 +146,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     for key in ("ROS_DOMAIN_ID", "ROS_LOG_DIR"):
         monkeypatch.setenv(key, "")
         monkeypatch.delenv(key)
-    created = World(tmp_path / "log")
+    created = World(tmp_path / "state")
     yield created
     created.close()
 

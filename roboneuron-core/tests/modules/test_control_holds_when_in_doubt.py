@@ -12,6 +12,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
+from roboneuron.gate.estop import FILE_NAME
 from roboneuron.ros.messages import to_action_message, to_joint_state
 from roboneuron.ros.qos import LATCHED
 
@@ -150,6 +151,20 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 3)
+
+
+def test_latch_file_stops_without_any_message_and_for_as_long_as_it_exists(cell: Cell) -> None:
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    latch = cell.world.state_directory / FILE_NAME
+    latch.parent.mkdir(parents=True, exist_ok=True)
+    latch.touch()
+    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=False))
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2)
+    latch.unlink()
+    assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
+    assert len(cell.commands) == 2
 
 
 def test_deactivation_holds_and_silences(cell: Cell) -> None:

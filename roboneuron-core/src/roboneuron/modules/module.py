@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import logging
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import Bool
 
 from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
 from roboneuron.modules.status import ModuleStatus, StatusReporter
 from roboneuron.ros.qos import LATCHED
 
-_LOOP_PERIOD_S = 0.1
+_LOOP_PERIOD_S = 0.02
+"""How often the executor shows that it turns, and looks at the latch file (1 us)."""
 log = logging.getLogger(__name__)
 
 
@@ -60,8 +64,10 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.stopped = False
         self.status.set_value(StatusKey.EMERGENCY_STOP, False)
         self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, LATCHED)
-        self.create_timer(_LOOP_PERIOD_S, self.status.tick_loop)
+        self._latch = EmergencyStopLatch(Path(settings.state_directory) / FILE_NAME, time.time_ns)
+        self._told_to_stop = False
         self.module = build(self)
+        self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
 
@@ -133,10 +139,20 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._reporter.publish()
         return TransitionCallbackReturn.FAILURE
 
+    def _on_loop(self) -> None:
+        self.status.tick_loop()
+        self._check_stop()
+
     def _on_emergency_stop(self, message: Bool) -> None:
-        if bool(message.data) == self.stopped:
+        self._told_to_stop = bool(message.data)
+        self._check_stop()
+
+    def _check_stop(self) -> None:
+        """Two independent ways lead here: the topic, and the latch file, which needs no other process to be alive."""
+        stopped = self._told_to_stop or self._latch.is_latched()
+        if stopped == self.stopped:
             return
-        self.stopped = bool(message.data)
+        self.stopped = stopped
         self.module.emergency_stop(self.stopped)
         self.status.set_value(StatusKey.EMERGENCY_STOP, self.stopped)
         self.status.changed.set()
