@@ -79,6 +79,39 @@ BROKEN = {
         Status.FAILED,
         "`config` of backend 'x'",
     ),
+    "has a bad case": (
+        _backend("name='x', summary='X.', target='m:X', case='m'"),
+        Status.FAILED,
+        "`case` of backend 'x'",
+    ),
+    "requires a submodule": (
+        _backend("name='x', summary='X.', target='m:X', requires=(Requirement(module='a.b', install='-'),)"),
+        Status.FAILED,
+        "requires 'a.b', expected a top-level module name",
+    ),
+    "has two drivers of one name": (
+        "d = DriverSpec(name='d', summary='D.', target='m:D')\n@hookimpl\ndef roboneuron_robots():"
+        " return [RobotSpec(name='x', summary='X.', target='m:x', drivers=(d, d))]",
+        Status.FAILED,
+        "drivers of robot 'x' hold the name 'd' twice",
+    ),
+    "has a driver with a bad target": (
+        "d = DriverSpec(name='d', summary='D.', target='m')\n@hookimpl\ndef roboneuron_robots():"
+        " return [RobotSpec(name='x', summary='X.', target='m:x', drivers=(d,))]",
+        Status.FAILED,
+        "`target` of driver 'd' of robot 'x' is 'm'",
+    ),
+    "has an unknown kind of robot": (
+        "d = DriverSpec(name='d', summary='D.', target='m:D')\n@hookimpl\ndef roboneuron_robots():"
+        " return [RobotSpec(name='x', summary='X.', target='m:x', drivers=(d,), robot_kind='boat')]",
+        Status.FAILED,
+        "robot_kind of robot 'x' is 'boat', expected one of arm, base",
+    ),
+    "claims one name twice by itself": (
+        "@hookimpl\ndef roboneuron_backends(): return 2 * [BackendSpec(name='x', summary='X.', target='m:X')]",
+        Status.CONFLICT,
+        "claimed by rn-zzz-broken and by rn-zzz-broken",
+    ),
     "lacks a module": (
         _backend(
             "name='x', summary='X.', target='m:X', requires=(Requirement(module='absent_x', install='pip install x'),)"

@@ -120,3 +120,8 @@ def test_load_options_refuses_unknown_keys_inside_sections(servo):
     strict = _spec("m:X", config="servo_module:Strict")
     with pytest.raises(ConfigurationError, match=r"plugins\.x\.inner\.gian is 2: Extra inputs are not permitted"):
         load_options(strict, {"checkpoint": "/c", "inner": {"gian": 2}})
+
+
+def test_load_options_refuses_what_no_configuration_can_hold(servo):
+    with pytest.raises(ConfigurationError, match="expected what a TOML file can hold"):
+        load_options(servo, {"checkpoint": object()})

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import date
+from datetime import time as clock_time
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import PurePath
@@ -122,8 +124,11 @@ def _explain(error: ValidationError, place: str) -> str:
 
 
 def _plain(value: object) -> object:
+    """What JSON has no word for but a configuration may hold: paths, dates, read-only mappings."""
     if isinstance(value, PurePath):
         return str(value)
+    if isinstance(value, (date, clock_time)):  # a datetime is a date
+        return value.isoformat()
     if isinstance(value, Mapping):
         return dict(value)
-    return str(value)
+    raise ConfigurationError(f"An option is {value!r} ({type(value).__name__}), expected what a TOML file can hold.")
