@@ -3,7 +3,8 @@
     python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
 
 Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between threads, checks, status.
-"Frame age" is the age of an action's image when the action arrives; it must stay below one camera period.
+"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest age of an action's image
+when the action arrives; it must stay below one camera period.
 """
 
 from __future__ import annotations
@@ -188,7 +189,17 @@ def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frame
     table = Table(
         title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} frames in turns"
     )
-    for column in ("size", "process", "answers", "median ms", "p99 ms", "median ratio", "p99 ratio", "oldest frame ms"):
+    for column in (
+        "size",
+        "process",
+        "answers",
+        "median ms",
+        "p99 ms",
+        "median ratio",
+        "p99 ratio",
+        "added ms",
+        "oldest frame ms",
+    ):
         table.add_column(column, justify="right")
     for size in SIZES:
         floor = np.percentile(np.concatenate(found[size, "relay"]), [50, 99])
@@ -203,6 +214,7 @@ def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frame
                 f"{p99 * 1e3:.2f}",
                 f"{median / floor[0]:.2f}",
                 f"{p99 / floor[1]:.2f}",
+                f"{(median - floor[0]) * 1e3:.2f}",
                 f"{oldest_s[size, name] * 1e3:.1f}",
             )
     return table
