@@ -3,8 +3,8 @@
     python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
 
 Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between threads, checks, status.
-"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest age of an action's image
-when the action arrives; it must stay below one camera period.
+"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest age of an action's
+image when the action arrives; it must stay below one camera period.
 """
 
 from __future__ import annotations
