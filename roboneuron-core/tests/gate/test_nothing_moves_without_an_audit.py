@@ -18,7 +18,7 @@ WRITE = """
 import sys, time
 from pathlib import Path
 from roboneuron.gate import AuditLog, AuditRecord
-log = AuditLog(Path(sys.argv[1]), time.time_ns, max_bytes=20_000, backups=20)
+log = AuditLog(Path(sys.argv[1]), time.time_ns, max_bytes=4_000, backups=40)
 for i in range(300):
     log.write(AuditRecord(who=sys.argv[2], role="operator", tool=str(i), verdict="allowed"))
 """
@@ -95,7 +95,7 @@ def test_it_rotates_by_size_and_keeps_so_many(tmp_path: Path, clock) -> None:
 def test_several_processes_and_threads_lose_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a"
     children = [subprocess.Popen([sys.executable, "-c", WRITE, str(path), who]) for who in ("p", "q")]
-    log = AuditLog(path, lambda: 1, max_bytes=20_000, backups=20)
+    log = AuditLog(path, lambda: 1, max_bytes=4_000, backups=40)
     threads = [
         threading.Thread(target=lambda n=n: [log.write(record(who=f"t{n}", tool=str(i))) for i in range(100)])
         for n in (0, 1)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+_FEW = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -93,8 +95,13 @@ def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path:
 
 
 def _first_nonfinite(values: Any, path: str) -> str:
+    if isinstance(values, array):
+        if values.typecode not in "fd":
+            return ""
+        if len(values) <= _FEW:  # numpy costs more than it saves here
+            return next((f"{path}[{i}]" for i, value in enumerate(values) if not math.isfinite(value)), "")
     numbers = np.asarray(values)
     if numbers.dtype.kind != "f":
         return ""
-    wrong = np.flatnonzero(~np.isfinite(numbers))
-    return f"{path}[{wrong[0]}]" if wrong.size else ""
+    finite = np.isfinite(numbers)
+    return "" if finite.all() else f"{path}[{int(np.argmin(finite))}]"
