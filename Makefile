@@ -41,6 +41,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_loop.py
 	$(BIN)/python benchmarks/bench_start_stop.py
 	$(BIN)/python benchmarks/bench_servo.py
+	$(BIN)/python benchmarks/bench_interfaces.py
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
@@ -62,5 +63,6 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
 	$(PIP) torch==2.13.0
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(ALL_PACKAGES)) \
-	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables
+	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
+	  ros-jazzy-test-msgs
 	@touch $@ $(VENV)/.demo
