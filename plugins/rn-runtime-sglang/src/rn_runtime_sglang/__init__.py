@@ -1,0 +1,1 @@
+"""SGLang as a runtime: the same backends, executed by a served engine on this or another host."""

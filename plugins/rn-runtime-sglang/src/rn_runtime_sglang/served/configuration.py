@@ -1,0 +1,61 @@
+"""The configuration and tokenizer classes that SGLang asks transformers for, made from the public checkpoint files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from transformers import LlamaConfig, PretrainedConfig, PreTrainedTokenizerFast
+
+from rn_backend_openvla.model_files import TextConfig
+
+MODEL_TYPE = "openvla"
+ARCHITECTURE = "OpenVLAForActionPrediction"
+
+
+class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, unused-ignore]
+    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults it was saved against."""
+
+    model_type = MODEL_TYPE
+
+    def __init__(self, text_config: dict[str, Any] | LlamaConfig | None = None, **others: Any) -> None:
+        self.text_config = text_config if isinstance(text_config, LlamaConfig) else _llama(text_config or {})
+        others.pop("auto_map", None)  # names code in the checkpoint's directory, which is never run
+        super().__init__(**others)
+        self.architectures = [ARCHITECTURE]
+
+
+def _llama(raw: dict[str, Any]) -> LlamaConfig:
+    text = TextConfig.model_validate(raw)
+    return LlamaConfig(
+        hidden_size=text.hidden_size,
+        intermediate_size=text.intermediate_size,
+        num_hidden_layers=text.num_hidden_layers,
+        num_attention_heads=text.num_attention_heads,
+        num_key_value_heads=text.num_key_value_heads or text.num_attention_heads,
+        vocab_size=text.vocab_size,
+        rms_norm_eps=text.rms_norm_eps,
+        rope_parameters={"rope_type": "default", "rope_theta": text.rope_theta},
+        max_position_embeddings=text.max_position_embeddings,
+        tie_word_embeddings=text.tie_word_embeddings,
+    )
+
+
+class OpenVlaTokenizer(PreTrainedTokenizerFast):  # type: ignore[misc, unused-ignore]
+    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it is never asked."""
+
+
+class OpenVlaFiles:
+    """Stands where SGLang expects a Hugging Face processor."""
+
+    def __init__(self, tokenizer: OpenVlaTokenizer) -> None:
+        self.tokenizer = tokenizer
+
+    @classmethod
+    def from_pretrained(cls, name: str, *arguments: Any, **options: Any) -> OpenVlaFiles:
+        """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about other formats."""
+        tokenizer = OpenVlaTokenizer(
+            tokenizer_file=str(Path(name) / "tokenizer.json"), bos_token="<s>", eos_token="</s>", unk_token="<unk>"
+        )
+        tokenizer.chat_template = ""
+        return cls(tokenizer)

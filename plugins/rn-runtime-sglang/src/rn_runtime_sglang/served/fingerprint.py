@@ -1,0 +1,31 @@
+"""A short name for the very files of a checkpoint, the same on every host that holds a copy."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+_SAMPLES = 16
+_SAMPLE_BYTES = 16384
+
+
+def fingerprint(checkpoint: Path) -> str:
+    """Twelve hexadecimal digits over config.json and samples spread over each weight file; milliseconds even for 15 GB.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    digest = hashlib.sha256((checkpoint / "config.json").read_bytes())
+    for path in sorted(checkpoint.glob("*.safetensors")):
+        size = path.stat().st_size
+        digest.update(f"{path.name} {size} ".encode())
+        with path.open("rb") as file:
+            for sample in range(_SAMPLES):
+                file.seek(max(0, size - _SAMPLE_BYTES) * sample // (_SAMPLES - 1))
+                digest.update(file.read(_SAMPLE_BYTES))
+    return digest.hexdigest()[:12]
+
+
+def served_name(checkpoint: Path) -> str:
+    """What a server of this package says it serves: "<directory>@<fingerprint>"."""
+    return f"{checkpoint.name}@{fingerprint(checkpoint)}"

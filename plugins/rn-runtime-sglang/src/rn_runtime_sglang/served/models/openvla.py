@@ -1,0 +1,92 @@
+"""OpenVLA for SGLang: the backend package's vision side in front of SGLang's own Llama."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import torch
+from sglang.srt.managers.mm_utils import MultiModalityDataPaddingPatternMultimodalTokens, general_mm_embed_routine
+from sglang.srt.managers.schedule_batch import Modality, MultimodalDataItem, MultimodalInputs
+from sglang.srt.models.llama import LlamaForCausalLM
+from torch import Tensor, nn
+
+from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.front import OpenVlaFront
+from rn_runtime_sglang.served.configuration import OpenVlaServedConfig
+
+UNUSABLE_TOKEN = 0
+"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that holds it."""
+
+
+class OpenVLAForActionPrediction(nn.Module):
+    """Named as checkpoints name it, which is how SGLang finds it."""
+
+    def __init__(self, config: OpenVlaServedConfig, quant_config: Any = None, prefix: str = "") -> None:
+        super().__init__()
+        self.config = config
+        checkpoint = Checkpoint.read(Path(config._name_or_path))
+        self._weights = {name: weight for shard in checkpoint.shards for name, weight in shard.weights.items()}
+        self.front = OpenVlaFront(checkpoint.vision)
+        self.language_model = LlamaForCausalLM(config.text_config, quant_config, prefix="language_model")
+
+    def get_input_embeddings(self) -> nn.Module:
+        """The word embedding, for SGLang."""
+        embedding: nn.Module = self.language_model.get_input_embeddings()
+        return embedding
+
+    def pad_input_ids(self, input_ids: Any, mm_inputs: MultimodalInputs) -> Any:
+        """Mark the image positions with the image's hash, which keys the prefix cache."""
+        return MultiModalityDataPaddingPatternMultimodalTokens().pad_input_tokens(input_ids, mm_inputs)
+
+    def get_image_feature(self, items: list[MultimodalDataItem]) -> Tensor:
+        """Pixels of each item (1, channels, side, side) -> embedded patches (items * patches, hidden)."""
+        parameter = self.front.projector.fc1.weight
+        pixels = torch.cat([item.feature for item in items]).to(parameter.device, parameter.dtype)
+        return self.front.patches(pixels)[0]
+
+    @torch.no_grad()
+    def forward(self, input_ids: Tensor, positions: Tensor, forward_batch: Any, **others: Any) -> Any:
+        """One prefill or decode step of a batch."""
+        output = general_mm_embed_routine(
+            input_ids=input_ids,
+            forward_batch=forward_batch,
+            language_model=self.language_model,
+            data_embedding_funcs={Modality.IMAGE: self.get_image_feature},
+            positions=positions,
+        )
+        logits = getattr(output, "next_token_logits", None)
+        if logits is not None:
+            # On the device and without waiting for it: an argmax over NaN would pass for an action.
+            unusable = ~torch.isfinite(logits).all(dim=-1, keepdim=True)
+            logits.masked_fill_(unusable, 0.0)
+            logits[:, UNUSABLE_TOKEN : UNUSABLE_TOKEN + 1].masked_fill_(unusable, 1.0)
+        return output
+
+    def load_weights(self, weights: Iterable[tuple[str, Tensor]]) -> None:
+        """Put every tensor of the checkpoint where the backend's table says.
+
+        Raises:
+            ValueError: a tensor is missing, unknown or of another shape.
+        """
+        slots = dict(self.front.named_parameters())
+        missing = set(self._weights)
+        decoder: list[tuple[str, Tensor]] = []
+        for name, tensor in weights:
+            expected = self._weights.get(name)
+            if expected is None or tuple(tensor.shape) != expected.shape:
+                wanted = "no such tensor" if expected is None else f"shape {expected.shape}"
+                raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {wanted}")
+            missing.discard(name)
+            part, _, target = expected.target.partition(".")
+            if part == "front":
+                slots[target].data.copy_(tensor)
+            elif part == "decoder":
+                decoder.append((target, tensor))
+        if missing:
+            raise ValueError(f"{len(missing)} tensors are missing: {', '.join(sorted(missing)[:8])}")
+        self.language_model.load_weights(decoder)
+
+
+EntryClass = OpenVLAForActionPrediction

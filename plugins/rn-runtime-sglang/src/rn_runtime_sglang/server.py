@@ -1,0 +1,188 @@
+"""One server: a thread of its own watches readiness, identity and load and carries out aborts; `generate` asks it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import threading
+import time
+from collections.abc import Mapping
+
+from rn_runtime_sglang.connection import Access, AnswerTooLate, Connection, ServerLost
+from rn_runtime_sglang.identity import Expectation
+from rn_runtime_sglang.wire import Generated, MalformedReply, error_text, parse_metrics, parse_reply, with_id
+from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+_POLL_LIMIT_S = 1.0
+"""A server that does not answer the poll by then is not ready."""
+_IDENTITY_LIMIT_S = 10.0
+_ABORT_LIMIT_S = 1.0
+_WANTED = {
+    "sglang:num_running_reqs": "served.running",
+    "sglang:num_queue_reqs": "served.queued",
+    "sglang:token_usage": "served.token_usage",
+    "sglang:gen_throughput": "served.tokens_per_s",
+}
+_STOP = ""
+
+
+class Server:
+    """`generate` is called from one thread; everything else from any."""
+
+    def __init__(self, access: Access, expectation: Expectation, poll_s: float) -> None:
+        self.url = access.url
+        self._expectation = expectation
+        self._poll_s = poll_s
+        self._work = Connection(access)
+        self._watch = Connection(access)
+        self._orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._settled = threading.Event()
+        self._ready = False
+        self._checked = False
+        self._refusal: RoboNeuronError | None = None
+        self._problem = f"{access.url} has not been asked yet."
+        self._metrics: Mapping[str, float] = {}
+
+    @property
+    def is_ready(self) -> bool:
+        """It said so at the last poll, serves the right model, and no request has failed since."""
+        return self._ready
+
+    @property
+    def refusal(self) -> RoboNeuronError | None:
+        """Why it may not be used although it answers: another model, release or key."""
+        return self._refusal
+
+    @property
+    def problem(self) -> str:
+        """Why it is not ready, in one sentence; empty when it is."""
+        return self._problem
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """What `/metrics` said at the last poll; empty when the server offers none."""
+        return self._metrics
+
+    @property
+    def load(self) -> float:
+        """Requests that it runs or holds in its queue, of all its clients."""
+        return self._metrics.get("served.running", 0.0) + self._metrics.get("served.queued", 0.0)
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._thread = threading.Thread(target=self._observe, name=f"sglang {self.url}", daemon=True)
+        self._thread.start()
+
+    def wait_settled(self, timeout_s: float) -> bool:
+        """Whether it became ready, or was found to be the wrong one, within `timeout_s`."""
+        return self._settled.wait(timeout_s)
+
+    def close(self) -> None:
+        """Stop watching and hang up."""
+        self._orders.put(_STOP)
+        self._work.cut()
+        self._watch.cut()
+        if self._thread is not None:
+            self._thread.join(_POLL_LIMIT_S + _ABORT_LIMIT_S + _IDENTITY_LIMIT_S)
+            self._thread = None
+        self._work.close()
+        self._watch.close()
+
+    def generate(self, rid: str, body: bytes, deadline_s: float, *, count: int, vocabulary: int) -> Generated:
+        """Send one request and wait for its reply.
+
+        Raises:
+            ServerLost, MalformedReply: another server may be tried.
+            AnswerTooLate: the deadline passed; the request has been ordered to be aborted.
+            InvalidInputError: the server does not take the request.
+            ConfigurationError: it does not take the key.
+        """
+        try:
+            answer = self._work.request("POST", "/generate", deadline_s, with_id(rid, body))
+            if answer.status == 200:
+                return parse_reply(answer.body, self.url, rid=rid, count=count, vocabulary=vocabulary)
+            text = f"{self.url} answered {answer.status}: {error_text(answer.body)}"
+            if answer.status in (401, 403):
+                raise ConfigurationError(text, hint="The API key is not the server's.")
+            if answer.status in (400, 413, 422):
+                raise InvalidInputError(text)
+            raise ServerLost(text)
+        except (ServerLost, MalformedReply) as error:
+            self._mistrust(str(error), check_again=True)
+            raise
+        except AnswerTooLate as error:
+            self.abort(rid)
+            self._mistrust(str(error), check_again=False)
+            raise
+
+    def abort(self, rid: str) -> None:
+        """Have the server give up a request; returns at once."""
+        self._orders.put(rid)
+
+    def cut(self) -> None:
+        """Break off the request that `generate` waits for."""
+        self._work.cut()
+
+    def _mistrust(self, problem: str, *, check_again: bool) -> None:
+        """Others first, until the next poll succeeds, which is now."""
+        self._ready = False
+        self._problem = problem
+        if check_again:
+            self._checked = False
+        self._orders.put(None)
+
+    def _observe(self) -> None:
+        while True:
+            self._poll()
+            try:
+                order = self._orders.get(timeout=self._poll_s)
+                while True:
+                    if order == _STOP:
+                        return
+                    if order is not None:
+                        self._send_abort(order)
+                    order = self._orders.get_nowait()
+            except queue.Empty:
+                continue
+
+    def _poll(self) -> None:
+        try:
+            deadline_s = time.monotonic() + _POLL_LIMIT_S
+            status = self._watch.request("GET", "/ready", deadline_s).status
+            if status != 200:
+                self._checked = False
+                raise NotReadyError(f"{self.url} is not ready (status {status}).")
+            if not self._checked:
+                self._expectation.check(self._watch, self.url, time.monotonic() + _IDENTITY_LIMIT_S)
+                self._checked = True
+            self._read_metrics(deadline_s)
+        except NotReadyError as error:
+            self._note(str(error), None)
+            if isinstance(error, ServerLost):
+                self._checked = False
+        except RoboNeuronError as error:
+            self._note(str(error), error)
+        else:
+            self._note("", None)
+
+    def _note(self, problem: str, refusal: RoboNeuronError | None) -> None:
+        if problem != self._problem and self._settled.is_set():
+            log.log(logging.WARNING if problem else logging.INFO, "%s", problem or f"{self.url} is ready again.")
+        self._problem, self._refusal, self._ready = problem, refusal, not problem
+        if self._ready or refusal is not None:
+            self._settled.set()
+
+    def _read_metrics(self, deadline_s: float) -> None:
+        answer = self._watch.request("GET", "/metrics", deadline_s)
+        text = answer.body.decode("utf-8", "replace") if answer.status == 200 else ""
+        self._metrics = parse_metrics(text, _WANTED)
+
+    def _send_abort(self, rid: str) -> None:
+        try:
+            body = json.dumps({"rid": rid}).encode()
+            self._watch.request("POST", "/abort_request", time.monotonic() + _ABORT_LIMIT_S, body)
+        except NotReadyError as error:
+            log.info("Request %s could not be aborted: %s", rid, error)
