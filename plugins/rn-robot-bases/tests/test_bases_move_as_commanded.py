@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import pytest
 
+from rn_robot_bases.drivetrain import BaseVelocity
+from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
 from roboneuron.errors import RefusedError, StateError
@@ -149,6 +151,32 @@ def test_odometry_agrees_with_the_true_pose_over_a_path(platform: Platform, shar
     assert error_m(state) < share * length_m
     heading_error = math.remainder(state.odometry.yaw_rad - state.true_pose.yaw_rad, 2.0 * math.pi)
     assert abs(heading_error) < 0.12
+
+
+def test_husky_odometry_knows_about_which_point_it_turns() -> None:
+    with Simulation(HUSKY) as base:
+        base.run(0.0, 0.8, 1.0)
+        # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and both must say so.
+        start = base.state()
+        end = base.run(0.0, 0.8, math.pi / 0.8)
+    true = (end.true_pose.x_m - start.true_pose.x_m, end.true_pose.y_m - start.true_pose.y_m)
+    told = (end.odometry.x_m - start.odometry.x_m, end.odometry.y_m - start.odometry.y_m)
+    # The point wanders with the heading, as the turning rate does; with the wrong sign they were 0.7 m apart.
+    assert math.hypot(*true) == pytest.approx(0.31, abs=0.1)
+    assert math.dist(true, told) < 0.1
+
+
+def test_integration_is_of_second_order() -> None:
+    quarter = BaseVelocity(linear_x=1.0, linear_y=0.0, angular_z=1.0)
+    errors_m = []
+    for steps in (10, 20):
+        pose = PlanarPose()
+        for _ in range(steps):
+            pose = integrate(pose, quarter, math.pi / 2.0 / steps)
+        errors_m.append(math.hypot(pose.x_m - 1.0, pose.y_m - 1.0))
+        assert pose.yaw_rad == pytest.approx(math.pi / 2.0)
+    assert errors_m[0] < 2e-3
+    assert errors_m[1] == pytest.approx(errors_m[0] / 4.0, rel=0.05)
 
 
 @EVERY_PLATFORM
