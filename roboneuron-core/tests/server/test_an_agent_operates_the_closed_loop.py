@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import os
 import subprocess
 import sys
@@ -106,10 +107,12 @@ def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_e
         assert code == "wrong_state"
         assert f"pid {robot['pid']}" in text
 
-        stopped = await agent.do("emergency_stop")
+        stopped = await agent.do("emergency_stop", reason="a hand in the workspace")
         assert set(stopped["confirmed_by"]) == {"robot", "perception", "inference", "control"}
         assert stopped["took_s"] < 1.0
-        assert (await agent.do("get_status"))["emergency_stop"] is True
+        status = await agent.do("get_status")
+        assert status["emergency_stop"] is True
+        assert status["emergency_stop_cause"] == "agent on stdio: a hand in the workspace"
         assert (await agent.fail("set_instruction", instruction="move on"))[0] == "refused"
         assert (await agent.do("reset_emergency_stop"))["latched"] is False
 
@@ -178,6 +181,29 @@ def test_a_killed_module_shows_with_its_exit_and_can_be_started_again(
         assert (await agent.do("start_robot"))["module"]["ready"]
 
     run_agent(serve_command(), server_environment, scenario)
+
+
+def test_the_emergency_stop_outlives_the_server_and_stops_what_is_started_later(
+    serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path
+) -> None:
+    async def latch(agent: Agent) -> None:
+        assert (await agent.do("emergency_stop", reason="smoke"))["confirmed_by"] == []
+
+    async def find_it_latched(agent: Agent) -> None:
+        robot = (await agent.do("start_robot"))["module"]
+        with anyio.fail_after(2):
+            while not robot["emergency_stop"]:
+                robot = await agent.module("robot")
+        code, text = await agent.fail("start_inference", instruction="move on")
+        assert code == "refused"
+        assert "agent on stdio: smoke" in text
+        assert (await agent.do("reset_emergency_stop"))["confirmed_by"] == ["robot"]
+        assert (await agent.do("get_status"))["emergency_stop"] is False
+
+    run_agent(serve_command(), server_environment, latch)
+    run_agent(serve_command(), server_environment, find_it_latched)
+    audit = (tmp_path / "state" / "audit.jsonl").read_text()
+    assert [json.loads(line)["verdict"] for line in audit.splitlines()] == ["latched", "allowed"]
 
 
 def test_an_image_topic_of_another_type_is_refused(

@@ -1,4 +1,8 @@
-"""The emergency stop of the control plane: latched, told on a topic, and believed only when the modules confirm it."""
+"""The emergency stop of the control plane: two independent ways to every module, believed only when they confirm it.
+
+The latch file stops modules without any other process being alive and outlives them all; the topic also reaches nodes
+that are not ours.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from roboneuron.errors import NotReadyError, UnsafeError
+from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
+from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
+from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
+from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -18,19 +26,25 @@ CONFIRM_S = 2.0
 
 
 class EmergencyStop:
-    """Publishes the latch for every namespace that a module was started in; usable from any thread."""
+    """Writes the latch file, and publishes in every namespace that a module was started in; usable from any thread."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[Any], None]] = {}
-        self._latched = False
+        self._latch = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
+        self._audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
 
     def is_latched(self) -> bool:
-        """Whether the stop is latched here or in any module."""
-        return self._latched or any(
+        """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
+        return self._latch.is_latched() or any(
             view.report is not None and view.report.emergency_stop is True for view in self._supervisor.views()
         )
+
+    def cause(self) -> str:
+        """Who latched it and why, as far as that is known; empty when it is not latched."""
+        state = self._latch.read_state()
+        return f"{state.who}: {state.reason}" if state.latched and state.who else ""
 
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed; a latched stop reaches modules that start later."""
@@ -43,17 +57,25 @@ class EmergencyStop:
                 return
             publish = self._supervisor.link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
             self._publishers[namespace] = publish
-            if self._latched:
+            if self._latch.is_latched():
                 publish(Bool(data=True))
 
-    def latch(self, namespace: str) -> tuple[list[str], float]:
+    def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.
 
         Raises:
-            UnsafeError: a running module did not confirm it in time; the message names it.
+            UnsafeError: a running module did not confirm it in time (the message names it), or the latch file cannot
+                be written; the other way was used nevertheless.
         """
-        self._latched = True
+        unwritten: UnsafeError | None = None
+        try:
+            self._latch.latch(who=who, reason=reason)
+        except UnsafeError as error:
+            unwritten = error
         confirmed, silent, took_s = self._tell(namespace, True)
+        self._record_stop(who, reason)
+        if unwritten is not None:
+            raise unwritten
         if silent:
             raise UnsafeError(
                 f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: {', '.join(silent)}.",
@@ -61,13 +83,15 @@ class EmergencyStop:
             )
         return confirmed, took_s
 
-    def reset(self, namespace: str) -> tuple[list[str], float]:
-        """Release the latch; nothing moves by itself. Returns as `latch`.
+    def reset(self, namespace: str, *, who: str, role: str) -> tuple[list[str], float]:
+        """Release the latch. Returns as `latch`.
 
         Raises:
+            RefusedError: `role` may not, or the audit cannot be written.
+            StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
-        self._latched = False
+        self._latch.reset(who=who, role=role, audit=self._audit)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(
@@ -75,6 +99,14 @@ class EmergencyStop:
                 hint="Look at get_status; call reset_emergency_stop again.",
             )
         return confirmed, took_s
+
+    def _record_stop(self, who: str, reason: str) -> None:
+        """A stop is never withheld for want of a record."""
+        record = AuditRecord(who=who, role="", tool="emergency_stop", verdict="latched", reason=reason)
+        try:
+            self._audit.write(record)
+        except RefusedError as error:
+            log.error("The emergency stop is not in the audit: %s", error)
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
         from std_msgs.msg import Bool  # heavy

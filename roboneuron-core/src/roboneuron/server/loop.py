@@ -181,7 +181,11 @@ class ClosedLoop:
 
     def _check_not_latched(self) -> None:
         if self.emergency_stop.is_latched():
-            raise RefusedError("The emergency stop is latched: nothing would move.", hint="Call reset_emergency_stop.")
+            cause = self.emergency_stop.cause()
+            raise RefusedError(
+                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would move.",
+                hint="Call reset_emergency_stop when a person says so.",
+            )
 
     def _select_inference(self, request: InferenceRequest) -> Selection:
         config = self.config

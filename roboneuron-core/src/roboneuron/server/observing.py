@@ -54,6 +54,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     return StatusResult(
         modules=[module_status(view) for view in loop.supervisor.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
+        emergency_stop_cause=loop.emergency_stop.cause(),
         namespace=loop.config.namespace,
         uptime_s=round(time.monotonic() - started_s, 1),
         pid=os.getpid(),

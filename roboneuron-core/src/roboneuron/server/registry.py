@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from roboneuron.errors import InternalError, InvalidInputError, RoboNeuronError
 from roboneuron.server.schema import Schema, check_arguments, input_schema, output_schema
-from roboneuron.server.tool import CallContext, Reply, Tool
+from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +25,7 @@ class ToolRegistry:
     def __init__(self, tools: Iterable[Tool[Any]] = ()) -> None:
         self._tools: dict[str, Tool[Any]] = {}
         self._output_schemas: dict[str, Schema] = {}
+        self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
         for tool in tools:
             self.add(tool)
 
@@ -34,7 +35,7 @@ class ToolRegistry:
         Raises:
             InternalError: there is one of that name.
         """
-        if tool.name in self._tools:
+        if tool.name in self._tools or tool.name in self._derived:
             raise InternalError(f"There are two tools called {tool.name!r}.")
         self._tools[tool.name] = tool
         self._output_schemas[tool.name] = output_schema(tool.result)
@@ -44,40 +45,48 @@ class ToolRegistry:
         self._tools.pop(name, None)
         self._output_schemas.pop(name, None)
 
+    def names(self) -> frozenset[str]:
+        """Names of the tools that are not derived."""
+        return frozenset(self._tools)
+
+    def derived(self) -> list[DerivedTool]:
+        """All derived tools, listed or not."""
+        return [tool for tool, _ in self._derived.values()]
+
+    def replace_derived(self, tools: Iterable[DerivedTool]) -> bool:
+        """Have these derived tools and no others; returns whether the listing changed. Callable from any thread.
+
+        Raises:
+            InternalError: a name comes twice.
+        """
+        made: dict[str, tuple[DerivedTool, types.Tool]] = {}
+        for tool in tools:
+            if tool.name in self._tools or tool.name in made:
+                raise InternalError(f"There are two tools called {tool.name!r}.")
+            made[tool.name] = (tool, _described(tool, tool.input_schema, tool.output_schema))
+        before = {name: shown for name, (tool, shown) in self._derived.items() if tool.listed}
+        self._derived = made
+        return before != {name: shown for name, (tool, shown) in made.items() if tool.listed}
+
     def listing(self) -> list[types.Tool]:
         """What `tools/list` answers."""
+        listed = [shown for tool, shown in self._derived.values() if tool.listed]
         return [
-            types.Tool(
-                name=tool.name,
-                title=tool.title,
-                description=tool.description,
-                input_schema=self._input_schema(tool),
-                output_schema=self._output_schemas[tool.name],
-                annotations=types.ToolAnnotations(
-                    title=tool.title,
-                    read_only_hint=tool.read_only,
-                    destructive_hint=tool.destructive,
-                    idempotent_hint=tool.idempotent,
-                    open_world_hint=tool.open_world,
-                ),
-            )
-            for tool in self._tools.values()
+            *(
+                _described(tool, self._input_schema(tool), self._output_schemas[tool.name])
+                for tool in self._tools.values()
+            ),
+            *listed,
         ]
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result."""
         try:
-            tool = self._tools.get(name)
-            if tool is None:
-                raise InvalidInputError(f"There is no tool {name!r}.", hint="See tools/list.")
-            checked = check_arguments(self._input_schema(tool), arguments)
-            try:
-                typed = tool.arguments.model_validate(checked)
-            except ValidationError as error:
-                first = error.errors(include_url=False)[0]
-                path = ".".join(str(part) for part in first["loc"])
-                raise InvalidInputError(f"Argument {path!r}: {first['msg']}.", path=path) from error
-            outcome = await tool.handler(typed, context)
+            derived = self._derived.get(name)
+            if derived is not None:
+                answer = await derived[0].handler(arguments, context)
+            else:
+                answer = await self._call_typed(name, arguments, context)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", name, error.code, error)
             return _failure(error)
@@ -90,17 +99,52 @@ class ToolRegistry:
                     hint="The server's log has the details; get_status tells what is running.",
                 )
             )
-        reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        structured = reply.result.model_dump(mode="json")
+        structured = dict(answer.structured)
         content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
         content += [
             types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
-            for p in reply.pictures
+            for p in answer.pictures
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 
+    async def _call_typed(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+        tool = self._tools.get(name)
+        if tool is None:
+            raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
+        checked = check_arguments(self._input_schema(tool), arguments)
+        try:
+            typed = tool.arguments.model_validate(checked)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            path = ".".join(str(part) for part in first["loc"])
+            raise InvalidInputError(f"Argument {path!r}: {first['msg']}.", path=path) from error
+        outcome = await tool.handler(typed, context)
+        reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
+        return Answer(structured=reply.result.model_dump(mode="json"), pictures=reply.pictures)
+
     def _input_schema(self, tool: Tool[Any]) -> Schema:
         return input_schema(tool.arguments, {name: ask() for name, ask in tool.choices.items()})
+
+
+def _described(tool: Tool[Any] | DerivedTool, input_schema: Schema, output_schema: Schema) -> types.Tool:
+    return types.Tool(
+        name=tool.name,
+        title=tool.title,
+        description=tool.description,
+        input_schema=input_schema,
+        output_schema=output_schema,
+        annotations=types.ToolAnnotations(
+            title=tool.title,
+            read_only_hint=tool.read_only,
+            destructive_hint=tool.destructive,
+            idempotent_hint=tool.idempotent,
+            open_world_hint=tool.open_world,
+        ),
+    )
+
+
+def _short(name: str) -> str:
+    return repr(name) if len(name) <= 80 else f"{name[:77]!r}..."
 
 
 def _failure(error: RoboNeuronError) -> types.CallToolResult:

@@ -122,6 +122,7 @@ class StatusResult(Result):
 
     modules: list[ModuleStatus]
     emergency_stop: bool = Field(description="latched here or in any module; nothing moves until it is reset")
+    emergency_stop_cause: str = Field(default="", description="who latched it and why")
     namespace: str = Field(description="ROS namespace of the robot")
     uptime_s: float = Field(description="of the server")
     pid: int = Field(description="of the server")

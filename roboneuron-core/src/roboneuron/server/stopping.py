@@ -4,22 +4,36 @@ from __future__ import annotations
 
 from typing import Any
 
+from pydantic import Field
+
+from roboneuron.gate.request import ADMIN
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import EmergencyStopResult
-from roboneuron.server.tool import CallContext, NoArguments, Tool
+from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
+
+LOCAL_AGENT = "agent on stdio"
+"""The client of a stdio server: whoever started the server, so it has every role."""
+
+
+class EmergencyStopArguments(Arguments):
+    """Arguments of emergency_stop."""
+
+    reason: str = Field(default="", max_length=500, description="Why; kept in the latch and in the audit.")
 
 
 def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """emergency_stop and reset_emergency_stop."""
     stop = loop.emergency_stop
 
-    async def latch(_: NoArguments, context: CallContext) -> EmergencyStopResult:
-        confirmed, took_s = await context.run(lambda _: stop.latch(loop.config.namespace))
+    async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
+        confirmed, took_s = await context.run(
+            lambda _: stop.latch(loop.config.namespace, who=LOCAL_AGENT, reason=arguments.reason)
+        )
         note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
         return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
 
     async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
-        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace))
+        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace, who=LOCAL_AGENT, role=ADMIN))
         note = "Nothing moves by itself; a running backend acts again on the next image."
         return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
 
@@ -28,10 +42,11 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             name="emergency_stop",
             title="Emergency stop",
             description=(
-                "Stop all motion now and keep it stopped until reset_emergency_stop. Modules go on running. Returns "
-                "when every running module has confirmed it; an error names those that have not."
+                "Stop all motion now and keep it stopped until reset_emergency_stop, across restarts of anything. "
+                "Modules go on running. Returns when every running module has confirmed it; an error names those that "
+                "have not."
             ),
-            arguments=NoArguments,
+            arguments=EmergencyStopArguments,
             result=EmergencyStopResult,
             handler=latch,
             destructive=True,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -46,8 +46,27 @@ class Reply:
     pictures: tuple[Picture, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """What a derived tool returns: JSON-able values that fit its output schema, and pictures beside them."""
+
+    structured: Mapping[str, Any]
+    pictures: tuple[Picture, ...] = ()
+
+
 class CallContext(Protocol):
-    """What a tool may do besides returning."""
+    """What a tool may do besides returning.
+
+    Attributes:
+        who: the client, for the audit.
+        role: what it may do, see `roboneuron.gate.ROLES`.
+    """
+
+    @property
+    def who(self) -> str: ...
+
+    @property
+    def role(self) -> str: ...
 
     async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
         """Run blocking `work` on a thread; its stages go to the client as progress.
@@ -86,3 +105,27 @@ class Tool(Generic[A]):
     idempotent: bool = False
     open_world: bool = False
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DerivedTool:
+    """A tool whose schemas were made at run time (from ROS interfaces); its handler checks the arguments itself.
+
+    Attributes:
+        input_schema, output_schema: JSON schemas of objects.
+        handler: raw arguments -> Answer; raises RoboNeuronError.
+        listed: in tools/list; others are found by search and called by name all the same.
+        The rest is as in `Tool`.
+    """
+
+    name: str
+    title: str
+    description: str
+    input_schema: dict[str, Any]
+    output_schema: dict[str, Any]
+    handler: Callable[[Mapping[str, Any], CallContext], Awaitable[Answer]]
+    read_only: bool = False
+    destructive: bool = False
+    idempotent: bool = False
+    open_world: bool = True
+    listed: bool = True

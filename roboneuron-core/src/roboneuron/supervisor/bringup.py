@@ -98,7 +98,7 @@ class Bringup:
             if report.ready and report.state == "active":
                 return True
             failure = report.failure()
-            if failure is None:
+            if failure is None or isinstance(failure, NotReadyError):  # what is late may still come
                 failing_since_s = None
             elif failing_since_s is None:
                 failing_since_s = time.monotonic()

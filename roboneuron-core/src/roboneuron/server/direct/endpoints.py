@@ -1,0 +1,266 @@
+"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with limits tightened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from roboneuron.config import Config, ExposeConfig
+from roboneuron.contract import Endpoint, RobotProfile
+from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron.gate import AllowedEndpoint, ConfiguredLimits, check_endpoint, tighten
+from roboneuron.interfaces import Interface, MessageInterface, load_interface
+from roboneuron.modules.plugin import load_profile
+from roboneuron.plugins.registry import Registry
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Exposed:
+    """An endpoint of one robot that agents may use.
+
+    Attributes:
+        robot: its name.
+        namespace: its ROS namespace, without a leading slash.
+        label: noun in the names of its tools.
+        endpoint: the gate's entry; its name is unique among the robot's.
+        interface: the type.
+        profile: the robot's facts, None for a robot that no plugin knows.
+        clamp, nonfinite: see `AllowedEndpoint`.
+        require_subscriber: a message that nobody receives is an error.
+        moves: it moves the robot, so that it is refused while a policy does.
+    """
+
+    robot: str
+    namespace: str
+    label: str
+    endpoint: Endpoint
+    interface: Interface
+    profile: RobotProfile | None = None
+    clamp: frozenset[str] = frozenset()
+    nonfinite: frozenset[str] = frozenset()
+    require_subscriber: bool = True
+    moves: bool = True
+
+    @property
+    def topic(self) -> str:
+        """Absolute name of the topic, service or action."""
+        name = self.endpoint.topic
+        return name if name.startswith("/") else f"/{self.namespace}/{name}"
+
+    @property
+    def message(self) -> MessageInterface:
+        """The type as a message; only for topics."""
+        assert isinstance(self.interface, MessageInterface)
+        return self.interface
+
+    def allowed(self) -> AllowedEndpoint:
+        """The entry of the gate's allow list."""
+        return AllowedEndpoint(
+            robot=self.robot,
+            endpoint=self.endpoint,
+            profile=self.profile,
+            clamp=self.clamp,
+            nonfinite=self.nonfinite,
+        )
+
+    def stop_message(self, now_ns: int) -> Any:
+        """The message that ends a motion, or None."""
+        text = self.endpoint.stop_message
+        if not text:
+            return None
+        if text != "zero":
+            return self.message.encode(json.loads(text), now_ns=now_ns)
+        message = self.message.ros_type()
+        header = getattr(message, "header", None)
+        if header is not None and hasattr(header, "stamp"):
+            header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+        return message
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterNode:
+    """A node whose parameters agents may see and set.
+
+    Attributes:
+        robot: whose it is.
+        name: what agents call it.
+        node: absolute name.
+        bounds: lowest and highest value by parameter.
+        moves: setting them may move the robot.
+        rate_hz: most settings per second; 0 for no bound.
+    """
+
+    robot: str
+    name: str
+    node: str
+    bounds: dict[str, tuple[float, float]]
+    moves: bool
+    rate_hz: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exposure:
+    """Everything that the configuration exposes."""
+
+    endpoints: tuple[Exposed, ...] = ()
+    nodes: tuple[ParameterNode, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Robot:
+    name: str
+    namespace: str
+    profile: RobotProfile | None
+
+
+def exposure(config: Config, registry: Registry) -> Exposure:
+    """Collect what the robot's profile and the configuration expose.
+
+    Raises:
+        ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or comes twice.
+        PluginError, MissingDependencyError: a profile cannot be loaded.
+    """
+    robots: dict[str, _Robot] = {}
+
+    def find(name: str, namespace: str | None) -> _Robot:
+        if name not in robots:
+            own = config.namespace if name == config.robot.name else name.replace("-", "_")
+            profile = load_profile(registry, name) if name in registry.specs("robot") else None
+            robots[name] = _Robot(name, namespace or own, profile)
+        found = robots[name]
+        if namespace is not None and namespace != found.namespace:
+            raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
+        return found
+
+    drafts: dict[tuple[str, str, str], Exposed] = {}
+    nodes: list[ParameterNode] = []
+    main = find(config.robot.name, config.namespace)
+    if config.direct.profile:
+        drafts.update((_key(e), e) for e in _profile_endpoints(main))
+    for entry in config.expose:
+        robot = find(entry.robot or config.robot.name, entry.namespace)
+        if entry.kind == "parameters":
+            nodes.append(_node(entry, robot))
+        elif entry.name is None:
+            drafts.update((_key(e), e) for e in _whole_profile(entry, robot))
+        else:
+            made = _merge(entry, robot, drafts)
+            drafts[_key(made)] = made
+    return Exposure(endpoints=tuple(unique(drafts.values())), nodes=tuple(nodes))
+
+
+def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
+    """Give the endpoints of a robot names of their own where a label is used for two kinds; check each."""
+    listed = list(drafts)
+    labels: dict[tuple[str, str], int] = {}
+    for draft in listed:
+        labels[draft.robot, draft.label] = labels.get((draft.robot, draft.label), 0) + 1
+    for draft in listed:
+        shared = labels[draft.robot, draft.label] > 1
+        name = f"{draft.label[:50]}_{draft.endpoint.kind}" if shared else draft.label
+        made = replace(draft, endpoint=replace(draft.endpoint, name=name)) if name != draft.endpoint.name else draft
+        check_endpoint(made.endpoint)
+        _check_stop(made)
+        yield made
+
+
+def _key(exposed: Exposed) -> tuple[str, str, str]:
+    return exposed.robot, exposed.label, exposed.endpoint.kind
+
+
+def _profile_endpoints(robot: _Robot) -> list[Exposed]:
+    endpoints = robot.profile.endpoints if robot.profile is not None else ()
+    return [
+        Exposed(
+            robot=robot.name,
+            namespace=robot.namespace,
+            label=endpoint.name,
+            endpoint=endpoint,
+            interface=load_interface(endpoint.type),
+            profile=robot.profile,
+        )
+        for endpoint in endpoints
+    ]
+
+
+def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
+    if robot.profile is None:
+        raise ConfigurationError(
+            f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin offers such a robot."
+        )
+    return [replace(e, moves=entry.moves, require_subscriber=entry.require_subscriber)
+            for e in _profile_endpoints(robot)]  # fmt: skip
+
+
+def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str], Exposed]) -> Exposed:
+    """The endpoint of an entry: limits on one of the profile, or a new one."""
+    assert entry.name is not None
+    own = [e for e in [*drafts.values(), *_profile_endpoints(robot)] if (e.robot, e.label) == (robot.name, entry.name)]
+    base = next((e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None)
+    limits = ConfiguredLimits(
+        bounds={path: (low, high) for path, (low, high) in entry.bounds.items()},
+        rate_hz=entry.rate_hz,
+        clamp=frozenset(entry.clamp),
+    )
+    stop = entry.stop_message if isinstance(entry.stop_message, str) else json.dumps(entry.stop_message)
+    if base is None:
+        missing = [key for key in ("kind", "topic", "type") if getattr(entry, key) is None]
+        if missing:
+            raise ConfigurationError(
+                f"[[expose]] {entry.name!r} of robot {robot.name!r} lacks {', '.join(missing)}.",
+                hint="Only an endpoint of the robot's profile can be named alone.",
+            )
+        bare = Endpoint(
+            name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=str(entry.type),
+            summary=entry.summary, stop_message=stop, repeat_hz=entry.repeat_hz or 0.0,
+        )  # fmt: skip
+    else:
+        bare = replace(
+            base.endpoint,
+            topic=entry.topic or base.endpoint.topic,
+            summary=entry.summary or base.endpoint.summary,
+            stop_message=stop or base.endpoint.stop_message,
+            repeat_hz=base.endpoint.repeat_hz if entry.repeat_hz is None else entry.repeat_hz,
+        )
+    check_endpoint(bare)
+    nonfinite = frozenset(entry.nonfinite)
+    return Exposed(
+        robot=robot.name,
+        namespace=robot.namespace,
+        label=entry.name,
+        endpoint=tighten(bare, limits),
+        interface=load_interface(bare.type, nonfinite=nonfinite),
+        profile=robot.profile,
+        clamp=limits.clamp,
+        nonfinite=nonfinite,
+        require_subscriber=entry.require_subscriber,
+        moves=entry.moves,
+    )
+
+
+def _node(entry: ExposeConfig, robot: _Robot) -> ParameterNode:
+    if entry.name is None or entry.topic is None:
+        raise ConfigurationError("[[expose]] with kind = 'parameters' needs `name` and `topic` (the node).")
+    node = entry.topic if entry.topic.startswith("/") else f"/{robot.namespace}/{entry.topic}"
+    bounds = {path: (low, high) for path, (low, high) in entry.bounds.items()}
+    return ParameterNode(
+        robot=robot.name, name=entry.name, node=node, bounds=bounds, moves=entry.moves, rate_hz=entry.rate_hz or 0.0
+    )
+
+
+def _check_stop(exposed: Exposed) -> None:
+    """The stop message must be one that the endpoint takes."""
+    if not exposed.endpoint.stop_message:
+        return
+    where = f"The stop message of {exposed.endpoint.name!r}"
+    if exposed.endpoint.kind != "publish":
+        raise ConfigurationError(f"{where} makes no sense: it is a {exposed.endpoint.kind}.")
+    try:
+        exposed.stop_message(0)
+    except InvalidInputError as error:
+        raise ConfigurationError(f"{where}: {error}") from error
+    outside = [path for path, (low, high) in exposed.endpoint.bounds.items() if not low <= 0.0 <= high]
+    if exposed.endpoint.stop_message == "zero" and outside:
+        raise ConfigurationError(f"{where} is zero, which the bounds of {outside[0]} do not allow.")

@@ -1,0 +1,84 @@
+"""Schemas of derived tools: messages with the endpoint's limits, and what decoded messages look like."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+from roboneuron.contract import Endpoint
+from roboneuron.interfaces import Array, FieldType, Message, MessageInterface, Nested, Scalar
+from roboneuron.interfaces.summary import SUMMARIES
+
+Schema = dict[str, Any]
+_DEPTH = 4
+"""Deeper messages are described as objects: the schema would be longer than what it describes."""
+
+
+def message_schema(part: MessageInterface, bounds: Mapping[str, tuple[float, float]]) -> Schema:
+    """What the encoder accepts, with limits of the endpoint put into the fields they are about."""
+    schema = part.json_schema()
+    for path, (low, high) in bounds.items():
+        _bound(schema, path.split("."), low, high)
+    return schema
+
+
+def _bound(schema: Schema, path: list[str], low: float, high: float) -> None:
+    node: Any = schema
+    for name in path:
+        node = node.get("items", node) if isinstance(node, dict) else {}
+        node = node.get("properties", {}).get(name)
+        if not isinstance(node, dict):
+            return
+    node = node.get("items", node)
+    if node.get("type") in ("number", "integer"):
+        node |= {"minimum": low, "maximum": high}
+
+
+def hull(endpoints: list[Endpoint]) -> dict[str, tuple[float, float]]:
+    """Bounds that hold for all of several robots' endpoints: fields bounded by all, widest."""
+    shared = set.intersection(*(set(e.bounds) for e in endpoints))
+    return {
+        path: (min(e.bounds[path][0] for e in endpoints), max(e.bounds[path][1] for e in endpoints))
+        for path in sorted(shared)
+    }
+
+
+def decoded_schema(part: MessageInterface) -> Schema:
+    """What `MessageInterface.decode` gives, limits of decoding included."""
+    return _object(part.message, _DEPTH)
+
+
+def _object(message: Message, depth: int) -> Schema:
+    if depth == 0:
+        return {"type": "object"}
+    properties = {}
+    for field in message.fields:
+        if (message.type_name, field.name) in SUMMARIES:
+            properties[field.name] = {"type": "object", "description": "summary"}
+        else:
+            properties[field.name] = _type(field.type, depth, bool(field.choices))
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+def _type(field_type: FieldType, depth: int, named: bool) -> Schema:
+    if isinstance(field_type, Array):
+        return {"type": ["array", "object"], "items": _type(field_type.element, depth, named)}
+    if isinstance(field_type, Nested):
+        return _object(field_type.message, depth - 1)
+    return _scalar(field_type, named)
+
+
+def _scalar(scalar: Scalar, named: bool) -> Schema:
+    if scalar.ros == "boolean":
+        return {"type": "boolean"}
+    if scalar.is_integer:
+        return {"type": ["integer", "string"] if named else "integer"}
+    if scalar.is_float:
+        return {"type": ["number", "string"]}
+    return {"type": ["string", "object"]}
+
+
+def copied(schema: Schema) -> Schema:
+    """A schema that may be changed."""
+    return copy.deepcopy(schema)
