@@ -117,8 +117,9 @@ HUSKY = Platform(
 )
 """`pybullet_data` husky.urdf with wheels that touch the ground in a point; the base frame lies under its middle.
 
-`track_m` and `turning_centre_x_m` were measured in this world (geometric track 0.571 m) as means over seconds of turning;
-the mean turning rate is then right within 3 % for all commands in the limits. Within a turn both wander with the heading.
+`track_m` and `turning_centre_x_m` were measured in this world (geometric track 0.571 m) as means over seconds of
+turning; the mean turning rate is then right within 3 % for all commands in the limits. Within a turn both wander with
+the heading.
 """
 
 RACECAR = Platform(
