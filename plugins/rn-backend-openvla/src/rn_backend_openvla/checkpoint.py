@@ -28,9 +28,10 @@ _DINO = TowerShape(width=1024, depth=24, heads=16, intermediate=4096, prefix_tok
 _SIGLIP = TowerShape(width=1152, depth=27, heads=16, intermediate=4304, prefix_tokens=0, layer_scale=False, pooled=True)
 _MLP_RATIO = MappingProxyType({True: 4.0, False: 3.7362})
 """Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions of the two models."""
-_BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
+BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
     {"dinosiglip-vit-so-224px": (_DINO, _SIGLIP), "siglip-vit-so400m": (_SIGLIP,)}
 )
+"""Vision towers by the checkpoint's `vision_backbone_id`."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -136,11 +137,11 @@ def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
 
 
 def _towers(config: ModelConfig, path: Path) -> tuple[TowerShape, ...]:
-    towers = _BACKBONES.get(config.vision_backbone_id)
+    towers = BACKBONES.get(config.vision_backbone_id)
     if towers is None:
         raise CheckpointError(
             f"{path / 'config.json'}: vision_backbone_id is {config.vision_backbone_id!r}, "
-            f"expected one of {', '.join(_BACKBONES)}."
+            f"expected one of {', '.join(BACKBONES)}."
         )
     tiny = config.tiny_vision_overrides
     if tiny is None:
