@@ -1,0 +1,112 @@
+"""The backend "servo": ties instruction, images and proprioception to the policy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rn_backend_servo.geometry import matrix_of
+from rn_backend_servo.history import PoseHistory
+from rn_backend_servo.instruction import parse_instruction
+from rn_backend_servo.options import ServoOptions
+from rn_backend_servo.phases import Phase
+from rn_backend_servo.policy import PickPolicy
+from rn_backend_servo.sight import look, not_visible
+from rn_backend_servo.watch import FrameWatch
+from roboneuron.contract import Acceleration, ActionChunk, Observation, Pose, Runtime
+from roboneuron.errors import InvalidInputError, StateError, UngroundedError, UnsafeError
+
+
+class ServoBackend:
+    """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening, nothing else.
+
+    One action per prediction, at most `max_step_m` long. Raising leaves the state machine where it was, so that the
+    episode goes on when the cause (a black image, a hidden cube) is gone.
+    """
+
+    def __init__(
+        self, config: ServoOptions | None, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+    ) -> None:
+        self._options = config or ServoOptions()
+        self._is_loaded = False
+        self._policy = PickPolicy(self._options)
+        self._history = PoseHistory()
+        self._watches: dict[str, FrameWatch] = {}
+        self._instruction = ""
+
+    def load(self) -> None:
+        """Become ready; there are no weights."""
+        self._is_loaded = True
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        self._policy.reset()
+        self._history.clear()
+        self._watches.clear()
+        self._instruction = ""
+
+    def close(self) -> None:
+        """Refuse to predict from now on."""
+        self._is_loaded = False
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Return the next small motion of the TCP.
+
+        Raises:
+            UngroundedError: the instruction, the images or a run of failed grasps leave nothing sensible to do.
+            InvalidInputError: the primary image, the TCP pose or the gripper opening is absent.
+            UnsafeError: the state is not finite.
+            StateError: not loaded.
+        """
+        if not self._is_loaded:
+            raise StateError("The backend 'servo' was used before it was loaded.", hint="Call load() first.")
+        pose, gripper_open = _state(observation)
+        colour = parse_instruction(observation.instruction)
+        if observation.instruction != self._instruction:
+            self.reset()
+            self._instruction = observation.instruction
+        self._history.add(pose)
+        places = {role: self._history.at(frame.stamp_ns) for role, frame in observation.frames.items()}
+        newest_ns = max(frame.stamp_ns for frame in observation.frames.values())
+        for role, frame in observation.frames.items():
+            is_fixed = frame.calibration is not None and frame.calibration.mount == "base"
+            must_change = is_fixed or self._policy.episode.phase in (Phase.APPROACH, Phase.DESCEND)
+            watch = self._watches.setdefault(role, FrameWatch())
+            watch.check(frame, pose, places[role], newest_ns=newest_ns, must_change=must_change)
+        primary = observation.frames["primary"]
+        if primary.calibration is None:
+            raise UngroundedError(
+                f"Camera {primary.camera!r} is not calibrated, so what it sees has no place.",
+                hint="Give the robot's profile a calibration for this image size.",
+            )
+        sighting = look(observation.frames, places, colour, self._options)
+        if sighting is None and self._policy.episode.phase is Phase.SEARCH:
+            raise not_visible(observation.frames, colour)
+        motion = self._policy.step(sighting, matrix_of(pose), gripper_open)
+        episode = self._policy.episode
+        return ActionChunk(
+            actions=np.concatenate([motion.translation_m, motion.rotation_rad, [motion.gripper_open]])[None],
+            step_s=self._options.step_s,
+            metrics={
+                "remaining_m": motion.remaining_m,
+                "failed_attempts": float(episode.attempts),
+                "is_visible": float(sighting is not None),
+                "misfit_px": sighting.estimate.misfit_px if sighting else 0.0,
+            },
+            note=f"{episode.phase.value} {colour} cube",
+        )
+
+
+def _state(observation: Observation) -> tuple[Pose, float]:
+    """TCP pose and gripper opening, present and finite."""
+    if "primary" not in observation.frames:
+        raise InvalidInputError("The observation has no frame of role 'primary'.", path="frames")
+    pose, gripper_open = observation.ee_pose, observation.gripper_open
+    if pose is None:
+        raise InvalidInputError("The observation has no ee_pose.", hint="Is control running?", path="ee_pose")
+    if gripper_open is None:
+        raise InvalidInputError("The observation has no gripper_open.", path="gripper_open")
+    values = np.concatenate([pose.position_m, pose.quaternion_xyzw, [gripper_open]])
+    if not np.isfinite(values).all():
+        raise UnsafeError(f"The measured state is not finite: {values.tolist()}.")
+    return pose, gripper_open

@@ -1,0 +1,75 @@
+"""The backend's contract case: a painted table with one cube, seen by a calibrated camera; loaded by the kit only."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_servo.cube import cube_corners
+from rn_backend_servo.geometry import View
+from rn_backend_servo.plugin import roboneuron_backends
+from roboneuron.contract import CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron.testing.cases import BackendCase
+
+F64 = NDArray[np.float64]
+
+SIDE_PX = 224
+TABLE_RGB, PAINT_RGB = (200, 190, 175), {"red": (200, 25, 25), "green": (30, 150, 60), "blue": (25, 60, 210)}
+POINTING_DOWN_XYZW = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def overhead_camera() -> CameraCalibration:
+    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down, image up being base +x."""
+    pose = np.array([[0.0, -1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.8], [0.0, 0.0, 0.0, 1.0]])
+    intrinsics = np.array([[220.0, 0.0, SIDE_PX / 2], [0.0, 220.0, SIDE_PX / 2], [0.0, 0.0, 1.0]])
+    return CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=pose)
+
+
+def paint_table(cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044) -> NDArray[np.uint8]:
+    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and a hint of noise."""
+    noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
+    image = np.asarray(TABLE_RGB) + noise
+    view = View.of(overhead_camera(), np.eye(4))
+    rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX] + 0.5
+    for colour, (x_m, y_m, yaw_rad) in cubes.items():
+        corners = view.project(cube_corners(np.array([x_m, y_m, yaw_rad, edge_m]), 0.0))
+        image[_inside_hull(corners, columns, rows)] = PAINT_RGB[colour]
+    return image.clip(0, 255).astype(np.uint8)
+
+
+def _inside_hull(points: F64, columns: F64, rows: F64) -> NDArray[np.bool_]:
+    """Pixels inside the convex hull of `points` (n, 2): those that no direction sees beyond the outermost point."""
+    inside = np.ones(columns.shape, dtype=bool)
+    for angle in np.linspace(0.0, 2 * np.pi, 180, endpoint=False):
+        normal = np.array([np.cos(angle), np.sin(angle)])
+        inside &= columns * normal[0] + rows * normal[1] <= (points @ normal).max()
+    return inside
+
+
+def observe(
+    image: NDArray[np.uint8],
+    *,
+    instruction: str = "pick up the red cube",
+    tcp_m: tuple[float, float, float] = (0.4, 0.1, 0.4),
+    gripper_open: float = 1.0,
+    stamp_ns: int | None = None,
+) -> Observation:
+    """What the backend sees with the hand pointing down at `tcp_m`."""
+    now_ns = time.time_ns() if stamp_ns is None else stamp_ns
+    frame = Frame(camera="front", image=image, stamp_ns=now_ns, frame_id="optical", calibration=overhead_camera())
+    return Observation(
+        frames={"primary": frame},
+        instruction=instruction,
+        joints=JointSample(names=("joint",), position=np.zeros(1), stamp_ns=now_ns),
+        ee_pose=Pose(position_m=np.array(tcp_m), quaternion_xyzw=POINTING_DOWN_XYZW, stamp_ns=now_ns),
+        gripper_open=gripper_open,
+        stamp_ns=now_ns,
+    )
+
+
+def contract_case() -> BackendCase:
+    """`servo` above a table with a red cube."""
+    image = paint_table({"red": (0.5, -0.1, 0.3)})
+    return BackendCase(spec=roboneuron_backends()[0], observe=lambda: observe(image))

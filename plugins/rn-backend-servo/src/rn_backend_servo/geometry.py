@@ -1,0 +1,83 @@
+"""Poses and pinhole cameras: where a pixel's ray meets a plane, where a point is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import CameraCalibration, Pose
+from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+
+F64 = NDArray[np.float64]
+
+
+def matrix_of(pose: Pose) -> F64:
+    """Pose -> float64 (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = matrix_from_quaternion(pose.quaternion_xyzw)
+    matrix[:3, 3] = pose.position_m
+    return matrix
+
+
+def downward(yaw_rad: float) -> F64:
+    """Rotation (3, 3) of a TCP that points straight down (z along -z of the base), its x axis at `yaw_rad` from x."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+
+
+def yaw_of(rotation: F64) -> float:
+    """Angle [rad] of the x axis of `rotation` (3, 3) about the base's z axis."""
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def quarter_turn_near(angle_rad: float, reference_rad: float) -> float:
+    """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a cube looks the same."""
+    quarter = np.pi / 2
+    return float(angle_rad + quarter * np.round((reference_rad - angle_rad) / quarter))
+
+
+def rotation_between(start: F64, goal: F64) -> F64:
+    """Rotation vector (3,) [rad] in the base frame that turns `start` (3, 3) into `goal`."""
+    return rotvec_from_matrix(goal @ start.T)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class View:
+    """A pinhole camera at a known place.
+
+    Attributes:
+        intrinsics: float64 (3, 3) [px].
+        T_base_camera: float64 (4, 4), optical frame in the base frame.
+    """
+
+    intrinsics: F64
+    T_base_camera: F64
+
+    @classmethod
+    def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> View:
+        """The view of a camera on the base or at a TCP that is at `T_base_tcp` (4, 4)."""
+        mount = T_base_tcp if calibration.mount == "tcp" else np.eye(4)
+        return cls(intrinsics=calibration.intrinsics, T_base_camera=mount @ calibration.T_mount_camera)
+
+    def project(self, points_m: F64) -> F64:
+        """Points (..., 3) in the base frame -> pixels (..., 2); those behind the camera become NaN."""
+        rotation, origin = self.T_base_camera[:3, :3], self.T_base_camera[:3, 3]
+        camera = (points_m - origin) @ rotation
+        depth = np.where(camera[..., 2:] > 1e-6, camera[..., 2:], np.nan)
+        homogeneous = (camera / depth) @ self.intrinsics.T
+        pixels: F64 = homogeneous[..., :2]
+        return pixels
+
+    def meet_plane(self, pixel: F64, height_m: float) -> F64 | None:
+        """Where the ray through `pixel` (2,) meets z = `height_m`: (3,) in the base frame, None when it does not."""
+        ray = self.T_base_camera[:3, :3] @ np.linalg.solve(self.intrinsics, np.array([pixel[0], pixel[1], 1.0]))
+        origin = self.T_base_camera[:3, 3]
+        if abs(ray[2]) < 1e-9:
+            return None
+        distance = (height_m - origin[2]) / ray[2]
+        if distance <= 0:
+            return None
+        point: F64 = origin + distance * ray
+        return point

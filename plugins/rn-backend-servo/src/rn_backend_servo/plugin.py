@@ -1,0 +1,34 @@
+"""What this package offers RoboNeuron: the backend "servo"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """Offer the backend "servo"."""
+    return [
+        BackendSpec(
+            name="servo",
+            summary="Picks up the cube named by its colour, by classical visual servoing; no weights, no GPU",
+            target="rn_backend_servo.backend:ServoBackend",
+            config="rn_backend_servo.options:ServoOptions",
+            case="rn_backend_servo.case:contract_case",
+            cameras=("primary",),
+            optional_cameras=("wrist",),
+            needs_state=True,
+            action_space=ActionSpace(
+                width=7,
+                translation="m",
+                rotation="rotvec",
+                frame="base",
+                gripper="open_fraction",
+                horizon=1,
+                step_s=0.1,
+            ),
+        )
+    ]

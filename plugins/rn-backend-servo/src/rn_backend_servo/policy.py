@@ -1,0 +1,235 @@
+"""The state machine: from what is seen and felt to the next small motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_servo.geometry import downward, rotation_between, yaw_of
+from rn_backend_servo.options import ServoOptions
+from rn_backend_servo.phases import CLOSED, OPEN, Episode, Phase, Target
+from rn_backend_servo.sight import Sighting
+from roboneuron.errors import UngroundedError
+
+F64 = NDArray[np.float64]
+
+_NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.004, 0.006, 0.04
+"""How near the TCP must come to a goal, beside it, in height and in rotation."""
+_STRAY_M = 0.008
+"""The descent waits while the TCP is farther than this beside its line."""
+_BLIND_M = 0.09
+"""Below this height of the TCP above the table the fingers hide the cube: its place is remembered."""
+_RETREAT_M = 0.30
+"""Height above the table from which the hand hides nothing."""
+_SEEN_TWICE = 2
+_CLOSING_STEPS, _STEADY_STEPS, _STEADY = 6, 3, 0.02
+"""A grasp is judged after so many actions, once the opening changes by less than _STEADY over _STEADY_STEPS."""
+_FULLY_OPEN = 0.85
+_MOST_STEPS = {Phase.APPROACH: 150, Phase.DESCEND: 80, Phase.GRASP: 30, Phase.LIFT: 80, Phase.RETREAT: 80}
+_MOST_STEPS_RELEASE = 120
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Motion:
+    """One small motion.
+
+    Attributes:
+        translation_m, rotation_rad: float64 (3,) each, TCP delta in the base frame.
+        gripper_open: 0 closed .. 1 open.
+        remaining_m: distance to the goal of the phase.
+    """
+
+    translation_m: F64
+    rotation_rad: F64
+    gripper_open: float
+    remaining_m: float = 0.0
+
+
+class PickPolicy:
+    """Search, approach, descend, grasp, verify, lift, hold; retries a bounded number of times."""
+
+    def __init__(self, options: ServoOptions) -> None:
+        self._options = options
+        self.episode = Episode()
+
+    def reset(self) -> None:
+        """Start anew."""
+        self.episode = Episode()
+
+    def step(self, sighting: Sighting | None, T_base_tcp: F64, gripper_open: float) -> Motion:
+        """Return the next motion.
+
+        Args:
+            sighting: the named cube; None when it is not visible, which must not be in phase SEARCH.
+            T_base_tcp: measured TCP pose (4, 4).
+            gripper_open: measured opening.
+
+        Raises:
+            UngroundedError: every attempt failed, or the arm does not get where it is sent; `reset` starts anew.
+        """
+        episode = self.episode
+        if episode.failure:
+            raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
+        episode.steps += 1
+        episode.openings.append(gripper_open)
+        action = {
+            Phase.SEARCH: self._search,
+            Phase.RELEASE: self._release,
+            Phase.APPROACH: self._approach,
+            Phase.DESCEND: self._descend,
+            Phase.GRASP: self._grasp,
+            Phase.LIFT: self._lift,
+            Phase.HOLD: self._hold,
+            Phase.RETREAT: self._retreat,
+        }[episode.phase]
+        return action(sighting, T_base_tcp, gripper_open)
+
+    def _search(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        episode = self.episode
+        assert sighting is not None
+        if episode.steps == 1 and self._options.holding_open < gripper_open < _FULLY_OPEN:
+            episode.enter(Phase.RELEASE, tcp)
+            return self._release(sighting, tcp, gripper_open)
+        self._see(sighting, tcp)
+        if episode.steps >= _SEEN_TWICE:
+            episode.enter(Phase.APPROACH, tcp)
+        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
+
+    def _approach(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        self._see(sighting, tcp)
+        target, options = self._target(), self._options
+        goal = self._goal(target.x_m, target.y_m, options.hover_m, target.yaw_rad)
+        if self._is_near(goal, tcp) and gripper_open > _FULLY_OPEN:
+            if target.is_clear:
+                self.episode.enter(Phase.DESCEND, tcp)
+            elif self.episode.steps > _MOST_STEPS[Phase.APPROACH] // 2:
+                return self._failed("the cube could not be seen as a whole", tcp)
+        if self._is_late():
+            return self._failed("the arm did not get above the cube", tcp)
+        return self._towards(goal, tcp, OPEN)
+
+    def _descend(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        options = self._options
+        if tcp[2, 3] > options.table_m + _BLIND_M:
+            self._see(sighting, tcp)
+        target = self._target()
+        goal = self._goal(target.x_m, target.y_m, options.grasp_m, target.yaw_rad)
+        if self._is_near(goal, tcp):
+            self.episode.enter(Phase.GRASP, tcp)
+            return self._towards(goal, tcp, CLOSED)
+        if self._is_late():
+            return self._failed("the arm did not get down to the cube", tcp)
+        if np.hypot(*(goal[:2, 3] - tcp[:2, 3])) > _STRAY_M:
+            goal[2, 3] = tcp[2, 3]
+        return self._towards(goal, tcp, OPEN)
+
+    def _grasp(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        episode, target = self.episode, self._target()
+        goal = self._goal(target.x_m, target.y_m, self._options.grasp_m, target.yaw_rad)
+        recent = episode.openings[-_STEADY_STEPS:]
+        is_steady = episode.steps >= _CLOSING_STEPS and max(recent) - min(recent) < _STEADY
+        if is_steady or self._is_late():
+            if gripper_open <= self._options.holding_open:
+                return self._failed("the gripper closed on nothing", tcp)
+            if gripper_open > _FULLY_OPEN:
+                return self._failed("the gripper did not close", tcp)
+            episode.enter(Phase.LIFT, tcp)
+        return self._towards(goal, tcp, CLOSED)
+
+    def _lift(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        if gripper_open <= self._options.holding_open:
+            return self._failed("the cube slipped out", tcp)
+        anchor = self.episode.anchor
+        goal = self._goal(
+            anchor[0, 3], anchor[1, 3], anchor[2, 3] - self._options.table_m + self._options.lift_m, yaw_of(anchor)
+        )
+        if abs(goal[2, 3] - tcp[2, 3]) < _NEAR_HEIGHT_M:
+            self.episode.enter(Phase.HOLD, tcp)
+        elif self._is_late():
+            return self._failed("the arm did not lift the cube", tcp)
+        return self._towards(goal, tcp, CLOSED)
+
+    def _hold(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        if gripper_open <= self._options.holding_open:
+            return self._failed("the cube was dropped", tcp)
+        self.episode.openings.clear()
+        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=CLOSED)
+
+    def _retreat(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        anchor = self.episode.anchor
+        goal = self._goal(anchor[0, 3], anchor[1, 3], _RETREAT_M, yaw_of(anchor))
+        if goal[2, 3] - tcp[2, 3] < _NEAR_HEIGHT_M and gripper_open > _FULLY_OPEN:
+            self.episode.enter(Phase.SEARCH, tcp)
+            self.episode.target = None
+        elif self._is_late():
+            self.episode.failure = "The arm does not move up as it is told to."
+        return self._towards(goal, tcp, OPEN)
+
+    def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+        """Straight down with the gripper closed, then open it: what was lifted goes back where it came from."""
+        episode, anchor = self.episode, self.episode.anchor
+        goal = self._goal(anchor[0, 3], anchor[1, 3], self._options.grasp_m, yaw_of(anchor))
+        is_down = tcp[2, 3] - goal[2, 3] < _NEAR_HEIGHT_M
+        if gripper_open > _FULLY_OPEN:
+            episode.enter(Phase.RETREAT, tcp)
+        elif episode.steps > _MOST_STEPS_RELEASE:
+            episode.failure = "The gripper holds something that it could not put down."
+        opening = OPEN if is_down or gripper_open > _FULLY_OPEN else CLOSED
+        return self._towards(goal, tcp, opening)
+
+    def _see(self, sighting: Sighting | None, tcp: F64) -> None:
+        if sighting is None:
+            return
+        target = self.episode.target
+        if target is None:
+            self.episode.target = Target.first(sighting.estimate, yaw_of(tcp))
+        else:
+            self.episode.target = target.updated(sighting.estimate)
+
+    def _target(self) -> Target:
+        assert self.episode.target is not None
+        return self.episode.target
+
+    def _goal(self, x_m: float, y_m: float, height_m: float, yaw_rad: float) -> F64:
+        """TCP pose (4, 4) pointing down, `height_m` above the table."""
+        goal = np.eye(4)
+        goal[:3, :3] = downward(yaw_rad)
+        goal[:3, 3] = (x_m, y_m, self._options.table_m + height_m)
+        return goal
+
+    def _is_near(self, goal: F64, tcp: F64) -> bool:
+        beside, above = np.hypot(*(goal[:2, 3] - tcp[:2, 3])), abs(goal[2, 3] - tcp[2, 3])
+        turn = np.linalg.norm(rotation_between(tcp[:3, :3], goal[:3, :3]))
+        return bool(beside < _NEAR_M and above < _NEAR_HEIGHT_M and turn < _NEAR_RAD)
+
+    def _is_late(self) -> bool:
+        return self.episode.steps > _MOST_STEPS[self.episode.phase]
+
+    def _towards(self, goal: F64, tcp: F64, gripper_open: float) -> Motion:
+        """A share of the way from `tcp` to `goal`, bounded; proportional control on the measured pose."""
+        options = self._options
+        way = goal[:3, 3] - tcp[:3, 3]
+        turn = rotation_between(tcp[:3, :3], goal[:3, :3])
+        return Motion(
+            translation_m=_shortened(options.gain * way, options.max_step_m),
+            rotation_rad=_shortened(options.gain * turn, options.max_turn_rad),
+            gripper_open=gripper_open,
+            remaining_m=float(np.linalg.norm(way)),
+        )
+
+    def _failed(self, reason: str, tcp: F64) -> Motion:
+        """Count a failed attempt; go up and look again, or give up."""
+        episode = self.episode
+        episode.attempts += 1
+        if episode.attempts >= self._options.max_attempts:
+            episode.failure = f"Gave up after {episode.attempts} attempts; in the last one {reason}."
+            raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
+        episode.enter(Phase.RETREAT, tcp)
+        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
+
+
+def _shortened(vector: F64, longest: float) -> F64:
+    length = float(np.linalg.norm(vector))
+    return vector if length <= longest else vector * (longest / length)

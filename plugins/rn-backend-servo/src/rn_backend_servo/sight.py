@@ -1,0 +1,74 @@
+"""Looking for the named cube in all cameras and choosing the best view of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_servo.cube import CubeEstimate, measure_cube
+from rn_backend_servo.geometry import View
+from rn_backend_servo.options import ServoOptions
+from rn_backend_servo.segmentation import find_blob, visible_colours
+from roboneuron.contract import Frame
+from roboneuron.errors import UngroundedError
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sighting:
+    """The named cube as the best camera sees it.
+
+    Attributes:
+        role: the camera's role.
+        estimate: where the cube is.
+    """
+
+    role: str
+    estimate: CubeEstimate
+
+
+def look(
+    frames: Mapping[str, Frame], T_base_tcp: Mapping[str, F64 | None], colour: str, options: ServoOptions
+) -> Sighting | None:
+    """Find the cube of `colour`; None when no camera shows it.
+
+    A clear view beats a partial one, the wrist's beats the fixed camera's.
+
+    Args:
+        frames: images by role.
+        T_base_tcp: where the TCP was when each was taken, by role; None skips cameras on the TCP.
+        colour: key of `segmentation.HUES_DEG`.
+        options: where the table is and how large cubes are.
+    """
+    best: Sighting | None = None
+    best_rank = (False, False)
+    for role, frame in frames.items():
+        calibration, tcp = frame.calibration, T_base_tcp[role]
+        if calibration is None or (calibration.mount == "tcp" and tcp is None):
+            continue
+        blob = find_blob(frame.image, colour)
+        if blob is None:
+            continue
+        view = View.of(calibration, np.eye(4) if tcp is None else tcp)
+        estimate = measure_cube(
+            blob, view, table_m=options.table_m, edge_m=options.edge_m, edge_spread_m=options.edge_spread_m
+        )
+        if estimate is None:
+            continue
+        rank = (estimate.is_clear, calibration.mount == "tcp")
+        if best is None or rank > best_rank:
+            best, best_rank = Sighting(role=role, estimate=estimate), rank
+    return best
+
+
+def not_visible(frames: Mapping[str, Frame], colour: str) -> UngroundedError:
+    """The error that says that no cube of `colour` is in sight, and which colours are."""
+    seen = list(dict.fromkeys(name for frame in frames.values() for name in visible_colours(frame.image)))
+    return UngroundedError(
+        f"No {colour} cube is visible in {', '.join(repr(frame.camera) for frame in frames.values())}.",
+        hint=f"Visible colours: {', '.join(seen) or 'none'}.",
+    )
