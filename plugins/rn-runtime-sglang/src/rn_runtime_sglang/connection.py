@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import io
+import select
 import socket
 import ssl
 import time
@@ -77,6 +78,11 @@ class _TimedReader(io.RawIOBase):
         return self._sock.recv_into(buffer)
 
 
+def _is_dropped(sock: socket.socket | None) -> bool:
+    """Whether the other side has closed an idle connection, as servers do after a while."""
+    return sock is None or bool(select.select([sock], [], [], 0.0)[0])
+
+
 class Connection:
     """Used by one thread at a time; `cut` may be called from any."""
 
@@ -97,16 +103,8 @@ class Connection:
             ServerLost: no connection, or it broke.
             AnswerTooLate: the deadline passed.
         """
-        kept = self._open is not None
-        try:
-            return self._send(method, path, deadline_s, body)
-        except ServerLost:
-            # Servers close idle connections; only a new one tells whether they are gone.
-            if not kept:
-                raise
-            return self._send(method, path, deadline_s, body)
-
-    def _send(self, method: str, path: str, deadline_s: float, body: bytes | None) -> Answer:
+        if self._open is not None and _is_dropped(self._open.sock):
+            self.close()
         url = self._access.url
         self._deadline_s = deadline_s
         try:

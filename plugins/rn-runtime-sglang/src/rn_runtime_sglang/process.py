@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -96,8 +97,12 @@ class ManagedServer:
                     self._log.unlink()
 
     def _environment(self) -> dict[str, str]:
-        # This process's own Python paths belong to another environment.
+        # This process's own Python and library paths belong to another environment.
         inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+        libraries = inherited.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
+        kept = [path for path in libraries if path and not Path(path).is_relative_to(sys.prefix)]
+        if kept:
+            inherited["LD_LIBRARY_PATH"] = os.pathsep.join(kept)
         return {**inherited, "PYTHONUNBUFFERED": "1", **self._config.environment, KEY_VARIABLE: self._key}
 
     def _command(self, port: int) -> list[str]:
@@ -208,8 +213,8 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
         )
     if not is_supported(sglang):
         raise MissingDependencyError(
-            f"SGLang {sglang} is installed for {python}, supported is >={first},<{end} (tried with {', '.join(TESTED)}).",
-            hint=f'Run: {pip} "sglang>={first},<{end}"',
+            f"SGLang {sglang} is installed for {python}, supported is >={first},<{end}.",
+            hint=f'Run: {pip} "sglang>={first},<{end}" (tried with {", ".join(TESTED)}).',
         )
     absent = [name for name, version in found.items() if version is None]
     if absent:

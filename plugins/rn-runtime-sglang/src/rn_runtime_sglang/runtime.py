@@ -146,14 +146,18 @@ class SglangRuntime:
         started_s = time.monotonic()
         body = encode_body(request, self._config.image_format)
         encoded_s = time.monotonic()
-        generated = self._fleet.generate(
-            body,
-            deadline_s,
-            attempts=self._config.attempts,
-            count=request.max_new_tokens,
-            vocabulary=self._model.decoder.vocabulary,
-            check=self._check,
-        )
+        try:
+            generated = self._fleet.generate(
+                body,
+                deadline_s,
+                attempts=self._config.attempts,
+                count=request.max_new_tokens,
+                vocabulary=self._model.decoder.vocabulary,
+                check=self._check,
+            )
+        except NotReadyError:
+            self._check()  # the reason, when it is one of ours
+            raise
         self._check()
         ended_s = time.monotonic()
         metrics = {

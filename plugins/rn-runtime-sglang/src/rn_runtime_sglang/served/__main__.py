@@ -37,7 +37,7 @@ _CPU = {
     "--max-total-tokens": "4096",
     "--max-running-requests": "4",
 }
-_CPU_FLAGS = ("--disable-overlap-schedule",)
+_CPU_FLAGS = ("--disable-overlap-schedule", "--sleep-on-idle")
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ MODEL_TYPE = "openvla"
 ARCHITECTURE = "OpenVLAForActionPrediction"
 
 
-class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, unused-ignore]
+class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, no-untyped-call, unused-ignore]
     """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults it was saved against."""
 
     model_type = MODEL_TYPE
@@ -54,7 +54,7 @@ class OpenVlaFiles:
     @classmethod
     def from_pretrained(cls, name: str, *arguments: Any, **options: Any) -> OpenVlaFiles:
         """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about other formats."""
-        tokenizer = OpenVlaTokenizer(
+        tokenizer = OpenVlaTokenizer(  # type: ignore[no-untyped-call, unused-ignore]
             tokenizer_file=str(Path(name) / "tokenizer.json"), bos_token="<s>", eos_token="</s>", unk_token="<unk>"
         )
         tokenizer.chat_template = ""

@@ -42,7 +42,7 @@ class OpenVLAForActionPrediction(nn.Module):
 
     def get_image_feature(self, items: list[MultimodalDataItem]) -> Tensor:
         """Pixels of each item (1, channels, side, side) -> embedded patches (items * patches, hidden)."""
-        parameter = self.front.projector.fc1.weight
+        parameter = next(self.front.parameters())
         pixels = torch.cat([item.feature for item in items]).to(parameter.device, parameter.dtype)
         return self.front.patches(pixels)[0]
 

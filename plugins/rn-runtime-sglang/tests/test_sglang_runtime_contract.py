@@ -1,0 +1,18 @@
+from __future__ import annotations
+
+import pytest
+
+from rn_runtime_sglang.case import sglang_case
+from roboneuron.testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
+
+
+class TestSglangRuntime(RuntimeContract):
+    @pytest.fixture
+    def plugin(self) -> RuntimeCase:
+        return sglang_case()
+
+
+class TestSglangRuntimePackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-runtime-sglang")
