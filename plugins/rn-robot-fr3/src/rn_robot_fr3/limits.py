@@ -40,13 +40,15 @@ FINGER_EFFORT_N = 70.0
 
 
 def joint_limits() -> JointLimits:
-    """The constant limits of the seven arm joints [rad, rad/s, rad/s^2, Nm], in the order of `ARM_JOINTS`."""
+    """The limits of the seven arm joints [rad, rad/s, rad/s^2, Nm], in the order of `ARM_JOINTS`."""
     return JointLimits(
         lower=np.array(LOWER_RAD),
         upper=np.array(UPPER_RAD),
         velocity=np.array(VELOCITY_RAD_S),
         acceleration=np.array(ACCELERATION_RAD_S2),
         effort=np.array(EFFORT_NM),
+        braking_offset=np.array(BRAKING_OFFSET_RAD_S),
+        braking_deceleration=np.array(BRAKING_DECELERATION_RAD_S2),
     )
 
 

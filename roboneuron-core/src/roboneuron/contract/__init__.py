@@ -13,7 +13,7 @@ from roboneuron.contract.action import (
     check_action_vector,
 )
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
-from roboneuron.contract.motion import Hold, JointCommand, RobotState
+from roboneuron.contract.motion import Hold, JointCommand, Posture, RobotState
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
     CameraProfile,
@@ -28,6 +28,7 @@ from roboneuron.contract.protocols import (
     Backend,
     Controller,
     PerceptionSource,
+    PostureInspector,
     RobotDriver,
     Runtime,
     Topics,
@@ -56,6 +57,8 @@ __all__ = [
     "Observation",
     "PerceptionSource",
     "Pose",
+    "Posture",
+    "PostureInspector",
     "RobotDriver",
     "RobotProfile",
     "RobotState",

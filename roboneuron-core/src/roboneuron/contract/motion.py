@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract.observation import JointSample
+from roboneuron.contract.observation import JointSample, Pose
 
 F64 = NDArray[np.float64]
 
@@ -42,6 +42,21 @@ class Hold:
 
     code: str
     reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Posture:
+    """What a posture of the arm amounts to, as far as its controller can tell.
+
+    Attributes:
+        pose: of the TCP in the base frame.
+        smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a singularity, None unknown.
+        contact: which links touch each other ("link1 and link5"); empty for none, None when that is not checked.
+    """
+
+    pose: Pose
+    smallest_singular_value: float | None = None
+    contact: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -22,6 +22,9 @@ class JointLimits:
         velocity: [rad/s or m/s].
         acceleration: [rad/s^2 or m/s^2].
         effort: [Nm or N].
+        braking_offset, braking_deceleration: [rad/s], [rad/s^2] (or m) of robots that slow down near a position
+            limit: towards it, velocity is at most -offset + sqrt(2 * deceleration * distance to the limit), and never
+            negative. None where velocity does not depend on position.
     """
 
     lower: F64
@@ -29,6 +32,8 @@ class JointLimits:
     velocity: F64
     acceleration: F64
     effort: F64
+    braking_offset: F64 | None = None
+    braking_deceleration: F64 | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

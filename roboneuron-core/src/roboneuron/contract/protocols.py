@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from roboneuron.contract.action import Action, ActionChunk
-from roboneuron.contract.motion import Hold, JointCommand, RobotState
+from roboneuron.contract.motion import Hold, JointCommand, Posture, RobotState
 from roboneuron.contract.observation import Frame, JointSample, Observation, Pose
 
 M = TypeVar("M")
@@ -153,6 +153,15 @@ class Controller(Protocol):
 
     def close(self) -> None:
         """Release everything; may be called twice."""
+        ...
+
+
+@runtime_checkable
+class PostureInspector(Protocol):
+    """What a controller may offer beside `Controller`, so that singularities and self-collisions can be limited."""
+
+    def inspect(self, joints: JointSample) -> Posture:
+        """Return what holds in a posture, measured or planned. Raises UnsafeError as `Controller.forward`."""
         ...
 
 
