@@ -31,8 +31,8 @@ class SglangRuntimeConfig(BaseModel):
     """How many servers (or times) one request may be sent to while its time lasts."""
     poll_s: Annotated[float, Field(ge=0.05, le=60, allow_inf_nan=False)] = 1.0
     """How often readiness and load of each server are asked for."""
-    image_format: Literal["png", "bmp"] = "png"
-    """How images travel, both without loss: `png` is smaller, `bmp` costs less time and suits this very machine."""
+    image_format: Literal["bmp", "png"] = "bmp"
+    """How images travel, both without loss: `bmp` costs least time, `png` is half as large, for slow networks."""
     start_timeout_s: Seconds = 600.0
     """Managed: how long the server may take until it is ready; remote: how long to wait for the first one."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None

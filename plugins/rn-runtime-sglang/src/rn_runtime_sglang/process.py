@@ -20,7 +20,7 @@ from roboneuron.errors import ConfigurationError, MissingDependencyError, NotRea
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 LAST_LINES = 15
-_STOP_S = 3.0
+_STOP_S = 1.5
 """Between asking the server to end and ending its whole group."""
 _PROBE_S = 60.0
 _PROBE = """
