@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -145,3 +146,22 @@ def test_a_stop_during_a_start_cancels_it(supervisor: Supervisor, make_config: M
     assert not first.is_alive()
     assert "stop_robot was called" in str(errors[0])
     assert children() == before
+
+
+def test_a_module_of_another_server_is_neither_driven_nor_disturbed(
+    supervisor: Supervisor,
+    make_config: MakeConfig,
+    tmp_path: Path,
+    fake_command: Callable[[str | None], list[str]],
+) -> None:
+    first = supervisor.start("robot", make_config())
+    assert first.process is not None
+    other = Supervisor(tmp_path / "other", command=fake_command)
+    try:
+        with pytest.raises(StateError, match=rf"as process {first.process.pid} of somebody else"):
+            other.start("robot", make_config())
+    finally:
+        other.close()
+    view = supervisor.require_running("robot")
+    assert view.report is not None
+    assert view.report.state == "active"

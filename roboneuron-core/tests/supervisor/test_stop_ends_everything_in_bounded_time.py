@@ -145,6 +145,25 @@ time.sleep(60)
 """
 
 
+def test_what_a_killed_server_leaves_is_cleaned_by_the_next_one(
+    tmp_path: Path, fake_command: Callable[[str | None], list[str]]
+) -> None:
+    script = PARENT.format(command=fake_command(None), state=str(tmp_path))
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        segments = owned_segments(parent.pid)
+        parent.kill()
+    wait_until(lambda: all(is_gone(pid) for pid in pids), 3.0, "both children are gone")
+    assert [name for name in segments if (SHARED_MEMORY / name).exists()]
+    following = Supervisor(tmp_path, command=fake_command)
+    following.open()
+    assert following.link is not None
+    following.close()
+    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
+    assert list(tmp_path.glob("log/*/shared_memory")) == []
+
+
 def test_children_die_when_their_parent_is_killed(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> None:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report, StatusBoard
@@ -56,10 +56,12 @@ class Bringup:
             RoboNeuronError: as `Supervisor.start`.
         """
         self._stage("starting")
+        self._check_alone()
         if self._changes.wait_for(self._checked_report, _left(deadline_s)) is None:
             raise self._too_late("its first status on /diagnostics")
         if not self._client.wait_until_served(_left(deadline_s)):
             raise self._too_late("its lifecycle services")
+        self._check_alone()
         self._transition("configure", deadline_s)
         self._transition("activate", deadline_s)
         self._await_ready(deadline_s)
@@ -112,6 +114,15 @@ class Bringup:
         if not self._changes.wait_for(ready, _left(deadline_s)):
             report = self._report()
             raise self._too_late(report.waiting_for if report and report.waiting_for else "its first output")
+
+    def _check_alone(self) -> None:
+        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's robot."""
+        pid = self._board.stranger(self._name)
+        if pid is not None:
+            raise StateError(
+                f"/{self._name} runs already, as process {pid} of somebody else.",
+                hint="Stop that server, or give this one another [robot] namespace or ROS_DOMAIN_ID.",
+            )
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         report = self._report()

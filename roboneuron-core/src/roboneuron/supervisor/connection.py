@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import StateError
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.supervisor.shared_memory import RECORD_NAME, SegmentRecord, clean_recorded, owned_segments
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -24,6 +25,7 @@ class Connection:
     def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
         self._on_status = on_status
         self._log_directory = log_directory
+        self.segments = SegmentRecord(log_directory / RECORD_NAME)
         self._lock = threading.Lock()
         self._opened: Future[RosLink] | None = None
         self._closed = False
@@ -56,6 +58,7 @@ class Connection:
             opened = self._opened
         if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
             opened.result().close()
+            self.segments.close()
 
     def _open(self, opened: Future[RosLink]) -> None:
         try:
@@ -64,6 +67,8 @@ class Connection:
 
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
+            clean_recorded(self._log_directory.parent.glob(f"*/{RECORD_NAME}"))
+            self.segments.add(owned_segments(os.getpid()))
             self._subscribe(link)
         except BaseException as error:  # handed to whoever asks for the link
             opened.set_exception(error)

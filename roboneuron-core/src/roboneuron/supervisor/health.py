@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from roboneuron.errors import InternalError, RoboNeuronError
-from roboneuron.modules.settings import StatusKey
+from roboneuron.modules.settings import MODULE_KINDS, StatusKey
 from roboneuron.supervisor.changes import Changes
 
 if TYPE_CHECKING:
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 _KNOWN = frozenset(value for key, value in vars(StatusKey).items() if key.isupper())
 _DETAIL, _DROPPED = "detail.", "dropped."
+_KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
+_STRANGER_S = 1.0
+_STRANGERS = 64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -122,11 +125,14 @@ class StatusBoard:
     def __init__(self, changes: Changes) -> None:
         self._changes = changes
         self._reports: dict[tuple[str, str], Report | None] = {}
+        self._ours: set[str] = set()
+        self._strangers: dict[str, tuple[str, float]] = {}
 
     def watch(self, name: str, pid: int) -> None:
         """Accept reports of the process `pid` under the status name `name`; those of anybody else are ignored."""
         with self._changes.lock:
             self._reports[name, str(pid)] = None
+            self._ours.add(str(pid))
 
     def forget(self, name: str, pid: int) -> None:
         """Stop watching."""
@@ -138,6 +144,12 @@ class StatusBoard:
         with self._changes.lock:
             return self._reports.get((name, str(pid)))
 
+    def stranger(self, name: str) -> str | None:
+        """Pid of a process of somebody else that reported under `name` within the last second, or None."""
+        with self._changes.lock:
+            pid, seen_s = self._strangers.get(name, ("", 0.0))
+        return pid if pid and time.monotonic() - seen_s < _STRANGER_S else None
+
     def receive(self, message: DiagnosticArray) -> None:
         """Subscription callback of /diagnostics."""
         now_s = time.monotonic()
@@ -146,4 +158,7 @@ class StatusBoard:
                 key = (status.name, status.hardware_id)
                 if key in self._reports:
                     self._reports[key] = parse_report({v.key: v.value for v in status.values}, received_s=now_s)
+                elif status.name.endswith(_KINDS) and status.hardware_id not in self._ours:
+                    self._strangers = dict(list(self._strangers.items())[-_STRANGERS:])
+                    self._strangers[status.name] = (status.hardware_id, now_s)
         self._changes.notify()

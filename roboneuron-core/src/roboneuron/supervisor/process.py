@@ -44,9 +44,10 @@ class ModuleProcess:
         """The end of what this process has written to its log."""
         return read_tail(self.log_path, lines=lines, offset=self._log_offset)
 
-    def note_segments(self) -> None:
+    def note_segments(self) -> frozenset[str]:
         """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
         self._segments |= owned_segments(self.pid)
+        return self._segments
 
     def terminate(self) -> None:
         """SIGTERM to the process: hold, release, leave."""

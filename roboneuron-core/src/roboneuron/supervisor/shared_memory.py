@@ -9,11 +9,17 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
+import threading
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")
 _PREFIX, _SUFFIX = "fastrtps_", "_el"
+_NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
+RECORD_NAME = "shared_memory"
+"""Of the record in a server run's log folder."""
 
 
 def owned_segments(pid: int) -> frozenset[str]:
@@ -49,3 +55,51 @@ def _remove_if_stale(name: str) -> bool:
         return True
     finally:
         os.close(descriptor)
+
+
+class SegmentRecord:
+    """A file that names the segments of a server and its modules, so that the next server can clean up after a kill.
+
+    Args:
+        path: one file for each server run; made with the first name, gone after `close`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+
+    def add(self, names: frozenset[str]) -> None:
+        """Remember names."""
+        with self._lock:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a", encoding="ascii") as file:
+                file.writelines(f"{name}\n" for name in sorted(names))
+
+    def close(self) -> None:
+        """Everything has ended in order: remove what is stale all the same, and the file."""
+        with self._lock:
+            _clean(self._path)
+
+
+def clean_recorded(records: Iterable[Path]) -> int:
+    """Remove the stale segments of servers that are gone, and their records; returns how many segments that were.
+
+    Args:
+        records: files of `SegmentRecord`, in folders whose names end in "-<pid>".
+    """
+    return sum(_clean(record) for record in records if not _is_alive(record.parent.name.rpartition("-")[2]))
+
+
+def _clean(record: Path) -> int:
+    """What is left afterwards belongs to the living."""
+    try:
+        names = frozenset(_NAME.findall(record.read_text(encoding="ascii")))
+    except (OSError, UnicodeDecodeError):
+        return 0
+    removed = remove_stale(names)
+    record.unlink(missing_ok=True)
+    return removed
+
+
+def _is_alive(pid: str) -> bool:
+    return Path(f"/proc/{pid}").exists()
