@@ -19,7 +19,13 @@ EMBEDDED_DEFAULT = "the embedded default"
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
 CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 Namespace = Annotated[str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA-Z0-9_]*)*$", max_length=128)]
+EndpointName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")]
 Seconds = Annotated[float, Field(gt=0, le=3600)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
+Reaction = Literal["hold", "scale", "refuse"]
+"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last command end."""
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class _Section(BaseModel):
@@ -57,6 +63,9 @@ class InferenceConfig(_Section):
     instruction: str = Field(default="", description="what to do; can be set later")
     cameras: dict[str, CameraName] = Field(default_factory=dict, description="camera name by role of the backend")
     max_image_age_s: Seconds = Field(default=0.5, description="older images are never acted on")
+    switch_max_difference: Annotated[float, Field(gt=0)] = Field(
+        default=0.25, description="a warm switch to actions that differ more [m or rad] is refused"
+    )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
 
 
@@ -70,6 +79,54 @@ class ControlConfig(_Section):
         default="joint_trajectory", description="message type of the command topic"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
+
+
+class ZoneConfig(_Section):
+    """One entry of `limits.zones`."""
+
+    name: str = Field(min_length=1, max_length=64, description="named in reports")
+    lower_m: Point = Field(description="corner [x, y, z] in the base frame")
+    upper_m: Point = Field(description="opposite corner")
+
+
+class LimitsConfig(_Section):
+    """`[limits]`: what control may send, whatever it is asked; see docs/safety.md."""
+
+    velocity_fraction: Share = Field(default=1.0, description="share of the joints' velocity limits in use")
+    acceleration_fraction: Share = Field(default=1.0, description="share of their acceleration limits in use")
+    max_step_m: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.1, description="farthest the TCP may go per action"
+    )
+    max_step_rad: Annotated[float, Field(gt=0, le=3)] = Field(
+        default=0.5, description="farthest it may turn per action"
+    )
+    max_speed_m_s: Annotated[float, Field(gt=0, le=3)] = Field(default=0.5, description="fastest motion of the TCP")
+    max_turn_rad_s: Annotated[float, Field(gt=0, le=10)] = Field(default=2.5, description="fastest turn of the TCP")
+    workspace_lower_m: Point | None = Field(
+        default=None, description="corner of the TCP's box in the base frame; the robot's own when not given"
+    )
+    workspace_upper_m: Point | None = Field(default=None, description="opposite corner")
+    min_height_m: Annotated[float, Field(ge=-100, le=100)] | None = Field(
+        default=None, description="lowest z of the TCP in the base frame"
+    )
+    zones: tuple[ZoneConfig, ...] = Field(
+        default=(),
+        strict=False,
+        description="boxes that the TCP must not enter: tables of `name`, `lower_m`, `upper_m`",
+    )
+    min_singular_value: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.02, description="distance from a singularity: smallest singular value of the TCP's Jacobian"
+    )
+    on_position: Reaction = Field(default="hold", description="a joint's position limit")
+    on_velocity: Reaction = Field(default="scale", description="a joint's velocity limit")
+    on_acceleration: Reaction = Field(default="scale", description="a joint's acceleration limit")
+    on_step: Reaction = Field(default="hold", description="max_step_m, max_step_rad")
+    on_speed: Reaction = Field(default="scale", description="max_speed_m_s, max_turn_rad_s")
+    on_workspace: Reaction = Field(default="hold", description="the workspace box")
+    on_zone: Reaction = Field(default="hold", description="zones")
+    on_height: Reaction = Field(default="hold", description="min_height_m")
+    on_singularity: Reaction = Field(default="hold", description="min_singular_value")
+    on_collision: Reaction = Field(default="hold", description="self-collision, where the controller checks it")
 
 
 class SupervisorConfig(_Section):
@@ -86,6 +143,66 @@ class ServerConfig(_Section):
     name: str = Field(default="roboneuron", description="server name that MCP clients see")
 
 
+class ExposeConfig(_Section):
+    """`[[expose]]`: a ROS interface that agents may use directly, or limits on one that the robot's profile exposes."""
+
+    robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
+    namespace: Namespace | None = Field(
+        default=None, description="ROS namespace of that robot; by default its name with underscores"
+    )
+    name: EndpointName | None = Field(
+        default=None, description="short noun in the tools' names; without it the robot's whole profile is exposed"
+    )
+    kind: Literal["publish", "read", "service", "action", "parameters"] | None = Field(
+        default=None, description="what agents may do; as in the robot's profile when not given"
+    )
+    topic: str | None = Field(
+        default=None, max_length=200, description="topic, service, action or node; absolute or in the namespace"
+    )
+    type: str | None = Field(default=None, description="package/msg/Name, package/srv/Name or package/action/Name")
+    summary: str = Field(default="", max_length=500, description="one line for the agent")
+    bounds: dict[str, Range] = Field(default_factory=dict, description="[lowest, highest] by field path")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most calls per second")
+    clamp: tuple[str, ...] = Field(default=(), strict=False, description="fields that are clamped instead of refused")
+    nonfinite: tuple[str, ...] = Field(default=(), strict=False, description="fields that may hold NaN and infinities")
+    stop_message: Literal["", "zero"] | dict[str, Any] = Field(
+        default="", description='ends every motion: "zero", or the message itself'
+    )
+    repeat_hz: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        default=None, description="a lasting value is sent again this often"
+    )
+    require_subscriber: bool = Field(default=True, description="a message that nobody receives is an error")
+    moves: bool = Field(default=True, description="false: it moves nothing and may be used while a policy runs")
+
+
+class DiscoverConfig(_Section):
+    """`[[discover]]`: interfaces of the live ROS graph that agents may use without being listed one by one."""
+
+    pattern: str = Field(min_length=2, max_length=200, pattern=r"^/[A-Za-z0-9_/*?]+$", description="such as /arm/*")
+    kinds: tuple[Literal["read", "publish", "service", "action"], ...] = Field(
+        default=("read",), strict=False, description="what agents may do with what matches"
+    )
+    robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        default=10.0, description="most calls per second of each endpoint"
+    )
+    period_s: Annotated[float, Field(ge=0.1, le=60)] = Field(default=1.0, description="how often it is looked at")
+    most: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="most endpoints of this pattern")
+
+
+class DirectConfig(_Section):
+    """`[direct]`: the tools that are derived from ROS interfaces."""
+
+    profile: bool = Field(default=True, description="expose the endpoints of the robot's profile")
+    dry_run: bool = Field(default=False, description="answer what would happen, send nothing")
+    listed_tools: Annotated[int, Field(ge=0, le=10000)] = Field(
+        default=100, description="more derived tools than this are reached by find_tools and call_endpoint"
+    )
+    max_duration_s: Seconds = Field(default=120.0, description="longest motion, sequence or goal")
+    ee_speed_m_s: Annotated[float, Field(gt=0, le=1)] = Field(default=0.25, description="fastest end-effector move")
+    ee_turn_rad_s: Annotated[float, Field(gt=0, le=3)] = Field(default=1.0, description="fastest end-effector turn")
+
+
 class Config(_Section):
     """A whole roboneuron.toml."""
 
@@ -93,8 +210,12 @@ class Config(_Section):
     perception: PerceptionConfig | None = None
     inference: InferenceConfig | None = None
     control: ControlConfig | None = None
+    limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     server: ServerConfig = ServerConfig()
+    direct: DirectConfig = DirectConfig()
+    expose: tuple[ExposeConfig, ...] = Field(default=(), strict=False, description="see `[[expose]]`")
+    discover: tuple[DiscoverConfig, ...] = Field(default=(), strict=False, description="see `[[discover]]`")
     disabled_plugins: tuple[str, ...] = Field(default=(), strict=False, description="distributions not to load")
     plugins: dict[str, dict[str, Any]] = Field(default_factory=dict, description="options by plugin name")
 
@@ -112,10 +233,13 @@ def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
     """Keys allowed in the section that `location` (of an error) points into."""
     model: Any = Config
     for part in location[:-1]:
+        if isinstance(part, int):  # an entry of an array of tables
+            continue
         field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
         if field is None:
             return []
         candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        candidates += [a for c in candidates for a in getattr(c, "__args__", ())]
         model = next((c for c in candidates if hasattr(c, "model_fields")), None)
         if model is None:
             return []

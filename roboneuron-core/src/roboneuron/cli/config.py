@@ -51,11 +51,13 @@ def reference() -> str:
     ]
     for name, field in Config.model_fields.items():
         candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        section = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        tables = [a for c in candidates for a in getattr(c, "__args__", ())]
+        section = next((c for c in [*candidates, *tables] if isinstance(c, type) and issubclass(c, BaseModel)), None)
         if section is None:
             continue
         purpose = (section.__doc__ or "").split(": ", 1)[-1].rstrip(".")
-        lines += [f"## `[{name}]`: {purpose}", "", "| key | type | default | meaning |", "|---|---|---|---|"]
+        heading = f"[[{name}]]" if section not in candidates else f"[{name}]"
+        lines += [f"## `{heading}`: {purpose}", "", "| key | type | default | meaning |", "|---|---|---|---|"]
         for key, entry in section.model_json_schema()["properties"].items():
             model_field = section.model_fields[key]
             value = model_field.get_default(call_default_factory=True)

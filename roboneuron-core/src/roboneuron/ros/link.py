@@ -84,6 +84,21 @@ class RosLink:
         self._node.destroy_node()
         self._context.try_shutdown()
 
+    @property
+    def node(self) -> Node:
+        """The node; entities are made and destroyed through `on_executor`.
+
+        Raises:
+            InternalError: the link is not open.
+        """
+        if self._node is None:
+            raise InternalError("The ROS link is not open.")
+        return self._node
+
+    def on_executor(self, task: Callable[[], T]) -> T:
+        """Run `task` on the executor's thread and return its result; not callable from that thread."""
+        return self._on_executor(task)
+
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None], qos: QoSProfile
     ) -> Callable[[], None]:

@@ -14,15 +14,19 @@ from typing import Any, TypeVar, cast
 import anyio
 from anyio import to_thread
 from mcp import types
-from mcp.server import Server
+from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 from mcp.server.stdio import stdio_server
+from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
 from roboneuron.config import Config
+from roboneuron.gate import ADMIN
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.catalogue import catalogue_tools
+from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
@@ -30,7 +34,7 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import LineReader, LineWriter
-from roboneuron.server.stopping import emergency_tools
+from roboneuron.server.stopping import LOCAL_AGENT, emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -40,14 +44,22 @@ T = TypeVar("T")
 INSTRUCTIONS = """\
 RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
 set_instruction. Watch get_status and get_camera_image. A call that returns has done what it says; everything else is an
-error with a reason. list_* tell what can be chosen. emergency_stop stops all motion at once; stop_all ends all."""
+error with a reason. list_* tell what can be chosen. publish_*, read_*, call_*, send_*_goal, move_* use the robot's ROS
+interfaces directly; while a policy runs, it alone moves the robot. emergency_stop stops all motion at once; stop_all
+ends all."""
+
+
+CHANGES = NotificationOptions(tools_changed=True)
+"""What clients are told about that changes while they are connected."""
 
 
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
-    def __init__(self, request: ServerRequestContext[Any, Any]) -> None:
+    def __init__(self, request: ServerRequestContext[Any, Any], *, who: str = LOCAL_AGENT, role: str = ADMIN) -> None:
         self._request = request
+        self.who = who
+        self.role = role
 
     async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
         """See `CallContext.run`."""
@@ -74,7 +86,8 @@ class RequestContext:
         async with anyio.create_task_group() as group:
             group.start_soon(forward)
             try:
-                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True))
+                thread = anyio.CapacityLimiter(1)  # of its own: a stop never waits for threads of other calls
+                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True, limiter=thread))
             except anyio.get_cancelled_exc_class():
                 on_cancel()
                 raise
@@ -93,25 +106,43 @@ class Application:
     def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
         self._started_s = time.monotonic()
         self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
-        self.supervisor = supervisor or Supervisor(state_directory(config.supervisor.state_directory))
+        self.supervisor = supervisor or Supervisor(
+            state_directory(config.supervisor.state_directory), on_change=self._on_module
+        )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self.notices = ToolNotices()
+        self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
                 *observing_tools(self.loop, self._started_s),
                 *closed_loop_tools(self.loop),
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
+                *self.direct.tools(),
             ]
         )
+        self.direct.fill(self.tools)
         self.resources = Resources(self.loop, self._started_s)
         self.server = self._build(config.server.name)
 
     def close(self) -> None:
-        """Stop all modules and threads; idempotent."""
+        """Stop all motion, modules and threads; idempotent."""
+        self.direct.close()
         self.supervisor.close()
 
+    def open(self) -> None:
+        """Begin to join the ROS graph, and to watch it, in the background."""
+        self.supervisor.open()
+        self.direct.open()
+
+    def _on_module(self, kind: str) -> None:
+        """Another robot has other interfaces."""
+        if kind == "robot":
+            self.direct.refresh()
+
     def _build(self, name: str) -> Server[Any]:
-        async def list_tools(_: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+        async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+            self.notices.remember(context)
             return types.ListToolsResult(tools=self.tools.listing())
 
         async def call_tool(
@@ -135,6 +166,7 @@ class Application:
             on_call_tool=call_tool,
             on_list_resources=list_resources,
             on_read_resource=read_resource,
+            on_subscriptions_listen=ListenHandler(self.notices.bus),
         )
 
 
@@ -146,7 +178,7 @@ def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
     """
     application = Application(config)
     check_configuration(config, application.plugins.current())
-    application.supervisor.open()
+    application.open()
     try:
         anyio.run(_serve, application, wire)
     finally:
@@ -171,6 +203,6 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
         # The streams only need to be iterated and written to.
         async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
             server = application.server
-            await server.run(read_stream, write_stream, server.create_initialization_options())
+            await server.run(read_stream, write_stream, server.create_initialization_options(CHANGES))
         group.cancel_scope.cancel()
     writer.close()

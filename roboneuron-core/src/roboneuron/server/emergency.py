@@ -35,6 +35,11 @@ class EmergencyStop:
         self._latch = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
         self._audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
 
+    @property
+    def file(self) -> EmergencyStopLatch:
+        """The latch itself, which the gate of the direct path looks at before every message."""
+        return self._latch
+
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
         return self._latch.is_latched() or any(

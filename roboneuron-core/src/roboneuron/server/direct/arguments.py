@@ -83,9 +83,7 @@ def check_names(arguments: Mapping[str, Any], known: Sequence[str]) -> None:
         if name not in known:
             near = get_close_matches(str(name)[:60], known, n=1)
             hint = f"Did you mean {near[0]!r}?" if near else f"Valid: {', '.join(known) or 'none'}."
-            raise InvalidInputError(
-                f"The call has no argument {str(name)[:60]!r}.", hint=hint, path=str(name)[:60]
-            )
+            raise InvalidInputError(f"The call has no argument {str(name)[:60]!r}.", hint=hint, path=str(name)[:60])
 
 
 def take_flag(arguments: Mapping[str, Any], name: str) -> bool:

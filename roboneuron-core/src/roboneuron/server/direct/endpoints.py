@@ -30,6 +30,7 @@ class Exposed:
         clamp, nonfinite: see `AllowedEndpoint`.
         require_subscriber: a message that nobody receives is an error.
         moves: it moves the robot, so that it is refused while a policy does.
+        hidden: no tools of its own; another tool uses it.
     """
 
     robot: str
@@ -42,6 +43,7 @@ class Exposed:
     nonfinite: frozenset[str] = frozenset()
     require_subscriber: bool = True
     moves: bool = True
+    hidden: bool = False
 
     @property
     def topic(self) -> str:
@@ -128,7 +130,7 @@ def exposure(config: Config, registry: Registry) -> Exposure:
         if name not in robots:
             own = config.namespace if name == config.robot.name else name.replace("-", "_")
             profile = load_profile(registry, name) if name in registry.specs("robot") else None
-            robots[name] = _Robot(name, namespace or own, profile)
+            robots[name] = _Robot(name=name, namespace=namespace or own, profile=profile)
         found = robots[name]
         if namespace is not None and namespace != found.namespace:
             raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
@@ -198,7 +200,9 @@ def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str]
     """The endpoint of an entry: limits on one of the profile, or a new one."""
     assert entry.name is not None
     own = [e for e in [*drafts.values(), *_profile_endpoints(robot)] if (e.robot, e.label) == (robot.name, entry.name)]
-    base = next((e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None)
+    base = next(
+        (e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None
+    )
     limits = ConfiguredLimits(
         bounds={path: (low, high) for path, (low, high) in entry.bounds.items()},
         rate_hz=entry.rate_hz,

@@ -1,0 +1,118 @@
+"""Endpoints found in the live ROS graph by the patterns that the configuration allows."""
+
+from __future__ import annotations
+
+import fnmatch
+import logging
+import re
+import threading
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from roboneuron.config import Config, DiscoverConfig
+from roboneuron.contract import Endpoint
+from roboneuron.errors import RoboNeuronError
+from roboneuron.gate import check_endpoint
+from roboneuron.interfaces import load_interface
+from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.naming import to_label
+from roboneuron.server.direct.traffic import Traffic
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+log = logging.getLogger(__name__)
+Kinds = Mapping[str, Mapping[str, str]]
+"""Type by absolute name, by kind."""
+_SILENT = re.compile(r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$")
+"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for itself."""
+_PARAMETER_SERVICE = re.compile(r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$")
+
+
+class LiveGraph:
+    """Looks at the graph in a thread of its own and tells what matches, whenever that changes."""
+
+    def __init__(self, config: Config, traffic: Traffic, on_found: Callable[[tuple[Exposed, ...]], None]) -> None:
+        self._config = config
+        self._traffic = traffic
+        self._on_found = on_found
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._seen: Kinds = {}
+        self._refused: set[str] = set()
+
+    def start(self) -> None:
+        """Begin, if the configuration has a pattern; returns at once."""
+        if self._config.discover and self._thread is None:
+            self._thread = threading.Thread(target=self._watch, name="direct-graph", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; idempotent."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+
+    def _watch(self) -> None:
+        period_s = min(entry.period_s for entry in self._config.discover)
+        while not self._stop.is_set():
+            try:
+                live = self._look(self._traffic.link().node)
+                if live != self._seen:
+                    self._seen = live
+                    self._on_found(self._match(live))
+            except RoboNeuronError as error:
+                log.error("The ROS graph cannot be looked at: %s", error)
+            self._stop.wait(period_s)
+
+    @staticmethod
+    def _look(node: Node) -> Kinds:
+        from roboneuron.ros.live import action_types, service_types, topic_types  # heavy
+
+        topics = {name: types[0] for name, types in topic_types(node).items() if len(types) == 1}
+        services = service_types(node)
+        actions = {name: types[0] for name, types in action_types(node).items()}
+        return {
+            "publish": {n: t for n, t in topics.items() if _others(node.get_subscriptions_info_by_topic(n), node)},
+            "read": {n: t for n, t in topics.items() if _others(node.get_publishers_info_by_topic(n), node)},
+            "service": {n: t[0] for n, t in services.items() if len(t) == 1 and not _PARAMETER_SERVICE.search(n)},
+            "action": actions,
+        }
+
+    def _match(self, live: Kinds) -> tuple[Exposed, ...]:
+        found: dict[tuple[str, str], Exposed] = {}
+        for entry in self._config.discover:
+            count = 0
+            for kind in entry.kinds:
+                for name, type_name in sorted(live[kind].items()):
+                    if (kind, name) in found or count >= entry.most or not _fits(entry, name):
+                        continue
+                    exposed = self._expose(entry, kind, name, type_name)
+                    if exposed is not None:
+                        found[kind, name] = exposed
+                        count += 1
+        return tuple(found.values())
+
+    def _expose(self, entry: DiscoverConfig, kind: str, name: str, type_name: str) -> Exposed | None:
+        robot = entry.robot or self._config.robot.name
+        namespace = self._config.namespace if robot == self._config.robot.name else robot.replace("-", "_")
+        label = to_label(name.removeprefix(f"/{namespace}/"))[:48].rstrip("_")
+        endpoint = Endpoint(name=label, kind=kind, topic=name, type=type_name, summary="", rate_hz=entry.rate_hz or 0.0)
+        try:
+            check_endpoint(endpoint)
+            interface = load_interface(type_name)
+        except RoboNeuronError as error:
+            if name not in self._refused:
+                self._refused.add(name)
+                log.warning("%s is not exposed: %s", name, error)
+            return None
+        return Exposed(robot=robot, namespace=namespace, label=label, endpoint=endpoint, interface=interface)
+
+
+def _others(infos: list[object], node: Node) -> bool:
+    """Whether somebody else than this server is there."""
+    return any(getattr(info, "node_name", "") != node.get_name() for info in infos)
+
+
+def _fits(entry: DiscoverConfig, name: str) -> bool:
+    return fnmatch.fnmatchcase(name, entry.pattern) and not _SILENT.search(name)

@@ -1,0 +1,216 @@
+"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until the arm is there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from roboneuron.contract import JointCommand, JointSample
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.gate import GateRequest
+from roboneuron.gate.joints import JointLimit, joint_limits
+from roboneuron.server.direct.access import Access
+from roboneuron.server.direct.arguments import (
+    Number,
+    Schema,
+    boolean,
+    check_names,
+    object_schema,
+    take_flag,
+    take_object,
+)
+from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.motion import Motion
+from roboneuron.server.schema import output_schema
+from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
+
+_TYPE = "trajectory_msgs/msg/JointTrajectory"
+_EASY = 0.4
+"""Share of the velocity limits that a move uses when it is given no duration."""
+_REACHED = 0.01
+_SETTLE_S = 3.0
+_HOLD_S = 0.1
+
+
+class JointMove(Result):
+    """What the arm did, measured."""
+
+    robot: str
+    position: dict[str, float] = Field(description="measured at the end [rad or m]")
+    error: float = Field(description="largest distance from the target [rad or m]")
+    duration_s: float
+    dry_run: bool
+    allowed: bool
+    reason: str
+
+
+def joint_tools(endpoints: Iterable[Exposed], access: Access) -> list[DerivedTool]:
+    """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
+    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == _TYPE), None)
+    if found is None or found.profile is None:
+        return []
+    limits = joint_limits(found.profile)
+    mover = _JointMover(found, limits, access)
+    joints: Schema = {
+        "type": "object",
+        "properties": {
+            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper} for name, limit in limits.items()
+        },
+        "minProperties": 1,
+        "additionalProperties": False,
+        "description": "Target by joint, rad or m; the others stay where they are.",
+    }
+    return [
+        DerivedTool(
+            name="move_joints",
+            title="Move joints",
+            description=(
+                f"Move joints of {found.robot!r} to positions [rad, m], within their position and velocity limits. "
+                "Needs start_robot; refused while a policy runs. Returns when they are measured there."
+            ),
+            input_schema=object_schema(
+                {
+                    "positions": joints,
+                    "duration_s": mover.duration.schema(),
+                    "dry_run": boolean("Only answer what would happen; nothing is sent."),
+                },
+                ["positions"],
+            ),
+            output_schema=output_schema(JointMove),
+            handler=mover,
+        )
+    ]
+
+
+class _JointMover:
+    """The handler of move_joints."""
+
+    def __init__(self, exposed: Exposed, limits: Mapping[str, JointLimit], access: Access) -> None:
+        self._exposed = exposed
+        self._limits = limits
+        self._access = access
+        self.duration = Number(
+            text="Time for the move [s]; an easy pace when omitted.", low=0.0, high=access.max_duration_s, above=True
+        )
+
+    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        check_names(arguments, ["positions", "duration_s", "dry_run"])
+        given = take_object(arguments, "positions", required=True)
+        if not given:
+            raise InvalidInputError("positions names no joint.", path="positions")
+        check_names(given, list(self._limits))
+        target = {}
+        for name in given:
+            limit = self._limits[name]
+            bounds = Number(text="", low=limit.lower, high=limit.upper)
+            target[name] = bounds.take(name, given)
+        asked_s = self.duration.take("duration_s", arguments) if arguments.get("duration_s") is not None else None
+        dry_run = take_flag(arguments, "dry_run")
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: self._move(target, asked_s, arguments, context, dry_run, stage, halt), on_cancel=halt.set
+        )
+
+    def _move(
+        self, target: Mapping[str, float], asked_s: float | None, arguments: Mapping[str, Any], context: CallContext,
+        dry_run: bool, stage: Stage, halt: threading.Event,
+    ) -> Answer:  # fmt: skip
+        exposed, access = self._exposed, self._access
+        joints = access.traffic.joints(exposed, 2.0)
+        if joints is None:
+            raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
+        duration_s = asked_s or self._easy_s(target, joints)
+        request = GateRequest(
+            who=context.who, role=context.role, tool="move_joints", robot=exposed.robot,
+            endpoint=exposed.endpoint.name, messages=(_message(target, duration_s),), arguments=arguments,
+            joints=joints, dry_run=dry_run,
+        )  # fmt: skip
+        if dry_run:
+            try:
+                access.desk.check_free(exposed)
+                verdict = access.gate.check(request)
+            except RefusedError as error:
+                return self._answer(target, joints, 0.0, allowed=False, reason=str(error), dry_run=True)
+            return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
+        with access.desk.claim(exposed, "move_joints", halt) as motion:
+            writer = access.traffic.writer(exposed)
+            if not writer.connect(2.0):
+                raise NotReadyError(f"Nobody subscribes to {exposed.topic}: nothing was sent.", hint="Start the robot.")
+            verdict = access.gate.check(request)
+            if not verdict.may_send:
+                return self._answer(target, joints, 0.0, True, "", True)
+            started_s = time.monotonic()
+            writer.publish(request.messages[0])
+            try:
+                end = self._follow(target, duration_s, motion, stage)
+            except (RefusedError, StateError) as error:
+                now = access.traffic.newest_joints(exposed)
+                if now is not None:
+                    writer.publish(_message({n: _position(now, n) for n in target}, _HOLD_S))
+                cause = error.message.replace(" Nothing was sent.", "")
+                raise type(error)(
+                    f"Ended after {time.monotonic() - started_s:.2f} of {duration_s:.2f} s, the joints were told to "
+                    f"hold: {cause}",
+                    hint=error.hint,
+                ) from error
+            return self._answer(target, end, time.monotonic() - started_s, True, "", False)
+
+    def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
+        """Duration at which every joint uses at most a share of its velocity limit."""
+        needed = [abs(v - _position(joints, n)) / (_EASY * self._limits[n].velocity) for n, v in target.items()]
+        return max(0.5, *needed)
+
+    def _follow(self, target: Mapping[str, float], duration_s: float, motion: Motion, stage: Stage) -> JointSample:
+        began_s = told_s = time.monotonic()
+        while True:
+            now_s = time.monotonic()
+            joints = self._access.traffic.newest_joints(self._exposed)
+            if joints is None:
+                raise StateError("The joints are not measured any more.", hint="See get_status.")
+            if now_s - began_s >= duration_s * 0.9 and _error(target, joints) < _REACHED:
+                return joints
+            if now_s - began_s > duration_s + _SETTLE_S:
+                raise StateError(f"The joints are {_error(target, joints):.3f} from the target and do not come nearer.")
+            if now_s - told_s >= 0.5:
+                told_s = now_s
+                stage(f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} to go")
+            motion.sleep_until(now_s + 0.02)
+
+    def _answer(
+        self, target: Mapping[str, float], joints: JointSample, duration_s: float, allowed: bool, reason: str,
+        dry_run: bool,
+    ) -> Answer:  # fmt: skip
+        return Answer(
+            structured={
+                "robot": self._exposed.robot,
+                "position": {name: round(_position(joints, name), 5) for name in target},
+                "error": round(_error(target, joints), 5),
+                "duration_s": round(duration_s, 3),
+                "dry_run": dry_run,
+                "allowed": allowed,
+                "reason": reason,
+            }
+        )
+
+
+def _message(target: Mapping[str, float], duration_s: float) -> Any:
+    from roboneuron.ros.messages import to_joint_trajectory  # heavy
+
+    position = np.array(list(target.values()), dtype=np.float64)
+    return to_joint_trajectory(JointCommand(names=tuple(target), position=position, duration_s=duration_s))
+
+
+def _position(joints: JointSample, name: str) -> float:
+    if name not in joints.names:
+        raise NotReadyError(f"Joint {name!r} is not measured.", hint="See get_status.")
+    return float(joints.position[joints.names.index(name)])
+
+
+def _error(target: Mapping[str, float], joints: JointSample) -> float:
+    return max(abs(value - _position(joints, name)) for name, value in target.items())

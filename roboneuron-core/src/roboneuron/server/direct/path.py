@@ -1,0 +1,143 @@
+"""The direct path put together: what is exposed now, the gate in front of it, and the tools derived from it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from roboneuron.config import Config
+from roboneuron.errors import RoboNeuronError
+from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate
+from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
+from roboneuron.server.direct.access import Access
+from roboneuron.server.direct.arm import arm_endpoints, arm_tools
+from roboneuron.server.direct.derive import derive_tools
+from roboneuron.server.direct.directory import directory_tools
+from roboneuron.server.direct.discovery import LiveGraph
+from roboneuron.server.direct.endpoints import Exposed, Exposure, exposure, unique
+from roboneuron.server.direct.generic import generic_tools
+from roboneuron.server.direct.motion import MotionDesk
+from roboneuron.server.direct.parameters import parameter_endpoints, parameter_tools
+from roboneuron.server.direct.traffic import Traffic
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.registry import ToolRegistry
+from roboneuron.server.tool import DerivedTool, Tool
+from roboneuron.supervisor.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+_CLOSE_S = 2.0
+
+
+class DirectPath:
+    """Derives tools into a registry, and again when the robot or the graph changes. Usable from any thread."""
+
+    def __init__(self, loop: ClosedLoop, latch: EmergencyStopLatch, on_change: Callable[[], None]) -> None:
+        """Args:
+        loop: the closed loop beside it; its policy has the robot while it runs.
+        latch: the emergency stop of the control plane.
+        on_change: called, from any thread, when the listed tools changed.
+        """
+        self._loop = loop
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        self._registry: ToolRegistry | None = None
+        supervisor: Supervisor = loop.supervisor
+        config = loop.config
+        self.gate = Gate(
+            (),
+            latch=latch,
+            audit=AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns),
+            clock=time.monotonic,
+            dry_run=config.direct.dry_run,
+        )
+        self.desk = MotionDesk(self.gate, self._policy)
+        self.traffic = Traffic(lambda: supervisor.link)
+        self._access = Access(
+            gate=self.gate, desk=self.desk, traffic=self.traffic, max_duration_s=config.direct.max_duration_s
+        )
+        self._exposure = Exposure()
+        self._found: tuple[Exposed, ...] = ()
+        self._all: list[DerivedTool] = []
+        self._graph = LiveGraph(config, self.traffic, self._on_found)
+
+    def tools(self) -> list[Tool[Any]]:
+        """The tools that are there whatever is exposed."""
+        return generic_tools(lambda: self._exposure, self.traffic)
+
+    def fill(self, registry: ToolRegistry) -> None:
+        """Derive the tools of what the configuration exposes into `registry`.
+
+        Raises:
+            ConfigurationError, PluginError, MissingDependencyError: as `endpoints.exposure`.
+        """
+        self._registry = registry
+        self._derive(self._configured())
+
+    def refresh(self) -> None:
+        """The robot may have changed: derive again; a failure is logged and leaves the tools as they are."""
+        try:
+            if self._derive(self._configured()):
+                self._on_change()
+        except RoboNeuronError as error:
+            log.error("The tools of the robot cannot be derived: %s", error)
+
+    def open(self) -> None:
+        """Begin to watch the graph, where the configuration wants that."""
+        self._graph.start()
+
+    def close(self) -> None:
+        """End every motion with its stop message; idempotent."""
+        self._graph.stop()
+        if not self.desk.end_all("The server is shutting down.", _CLOSE_S):
+            log.error("A motion did not end within %g s.", _CLOSE_S)
+        self.gate.audit.close()
+
+    def _configured(self) -> Exposure:
+        config: Config = self._loop.config
+        made = exposure(config, self._loop.plugins.current())
+        return Exposure(endpoints=(*made.endpoints, *arm_endpoints(config, made)), nodes=made.nodes)
+
+    def _derive(self, configured: Exposure) -> bool:
+        """Allow list first, tools then: a tool is never there before its endpoint is allowed."""
+        assert self._registry is not None
+        with self._lock:
+            known = {(e.robot, e.label, e.endpoint.kind) for e in configured.endpoints}
+            new = [e for e in self._found if (e.robot, e.label, e.endpoint.kind) not in known]
+            endpoints = tuple(unique([*configured.endpoints, *new]))
+            nodes = parameter_endpoints(configured.nodes)
+            self.gate.replace([*(e.allowed() for e in endpoints), *(e.allowed() for e in nodes)])
+            self._exposure = Exposure(endpoints=endpoints, nodes=configured.nodes)
+            return self._registry.replace_derived(self._make(endpoints, configured))
+
+    def _make(self, endpoints: Iterable[Exposed], configured: Exposure) -> list[DerivedTool]:
+        config = self._loop.config
+        assert self._registry is not None
+        taken = {*self._registry.names(), "find_tools", "call_endpoint"}
+        arm = arm_tools(endpoints, self._access, self._loop)
+        settings = parameter_tools(configured.nodes, self._access)
+        fixed = [*arm, *settings]
+        hidden = {tool.name for tool in fixed}
+        plain = [e for e in endpoints if not e.hidden]
+        derived = derive_tools(plain, self._access, taken | hidden)
+        self._all = [*fixed, *derived]
+        if len(derived) <= config.direct.listed_tools:
+            return self._all
+        unlisted = [replace(tool, listed=False) for tool in derived]
+        return [*fixed, *directory_tools(lambda: self._all), *unlisted]
+
+    def _on_found(self, found: tuple[Exposed, ...]) -> None:
+        self._found = found
+        self.refresh()
+
+    def _policy(self, exposed: Exposed) -> str:
+        """Who else moves the robot, as a sentence."""
+        view = self._loop.supervisor.view("inference")
+        if view.phase not in ("starting", "running") or view.choice is None:
+            return ""
+        if view.choice.settings.config.namespace != exposed.namespace:
+            return ""
+        return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
