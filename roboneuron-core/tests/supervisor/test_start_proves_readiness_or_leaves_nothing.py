@@ -78,8 +78,8 @@ def test_a_death_during_the_start_is_told_with_the_last_lines(
 
 def test_what_is_missing_is_named_when_the_time_is_over(supervisor: Supervisor, make_config: MakeConfig) -> None:
     before = children()
-    with pytest.raises(NotReadyError, match=r"not ready within 4 s; missing: images on camera/front/image"):
-        supervisor.start("perception", make_config(start_timeout_s=4.0, perception="never-ready"))
+    with pytest.raises(NotReadyError, match=r"not ready within 10 s; missing: images on camera/front/image"):
+        supervisor.start("perception", make_config(start_timeout_s=10.0, perception="never-ready"))
     assert children() == before
     assert supervisor.view("perception").phase == "stopped"
 
@@ -87,7 +87,7 @@ def test_what_is_missing_is_named_when_the_time_is_over(supervisor: Supervisor, 
 def test_a_hang_in_configure_ends_at_the_timeout(supervisor: Supervisor, make_config: MakeConfig) -> None:
     before = children()
     with pytest.raises(NotReadyError, match="missing: the end of 'configure'"):
-        supervisor.start("robot", make_config(start_timeout_s=4.0, stop_timeout_s=0.5, robot="hangs-in-configure"))
+        supervisor.start("robot", make_config(start_timeout_s=10.0, stop_timeout_s=0.5, robot="hangs-in-configure"))
     assert children() == before
 
 
