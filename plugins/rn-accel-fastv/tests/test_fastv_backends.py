@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -155,3 +158,12 @@ def test_planning_refuses_a_runtime_without_bidirectional_rows_for_oft():
     served = RuntimeSpec(name="served", summary="s", target="x:y", families=("openvla",), served=True)
     with pytest.raises(PlanningError, match=r"'served' executes the families openvla, but .*'openvla-oft'"):
         check_plan(_registry(served), robot="arm", driver="simulated", backend="oft", runtime="served")
+
+
+def test_building_backend_runtime_and_preset_does_not_import_torch():
+    code = (
+        "import sys, rn_backend_openvla.backend, rn_backend_oft.backend, rn_runtime_torch.runtime, rn_accel_fastv.preset\n"
+        "rn_accel_fastv.preset.FastVP50(); rn_runtime_torch.runtime.TorchRuntime()\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

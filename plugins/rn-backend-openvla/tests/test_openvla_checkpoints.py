@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ from safetensors.torch import load_file, save_file
 from tokenizers import Tokenizer
 
 from rn_backend_openvla.backend import OpenVlaBackend
-from rn_backend_openvla.checkpoint import Checkpoint
+from rn_backend_openvla.checkpoint import BACKBONES, Checkpoint
 from rn_backend_openvla.cli import main
 from rn_backend_openvla.config import OpenVlaConfig
+from rn_backend_openvla.layout import VisionShape, expected_weights
 from rn_backend_openvla.prompt import PromptEncoder, end_prompt
 from rn_backend_openvla.tiny import make_tiny, write_tokenizer
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from roboneuron.contract.decoding import DecoderShape
 from roboneuron.errors import CheckpointError, ConfigurationError
 
 
@@ -215,3 +218,29 @@ def test_make_tiny_does_not_write_into_a_full_directory(tmp_path, capsys):
     (tmp_path / "precious").write_text("x")
     assert main(["make-tiny", str(tmp_path)]) == 2
     assert "not an empty directory" in capsys.readouterr().err
+
+
+def test_expected_weights_of_the_public_model_are_as_many_as_it_has():
+    """Counts of openvla-7b: keys and parameters per part, and in all."""
+    decoder = DecoderShape(
+        hidden=4096,
+        intermediate=11008,
+        layers=32,
+        heads=32,
+        key_value_heads=32,
+        vocabulary=32064,
+        norm_epsilon=1e-6,
+        rope_theta=10000.0,
+        max_positions=2048,
+    )
+    vision = VisionShape(towers=BACKBONES["dinosiglip-vit-so-224px"], hidden=4096)
+    weights = expected_weights(vision, decoder)
+
+    def count(prefix: str) -> tuple[int, int]:
+        shapes = [weight.shape for name, weight in weights.items() if name.startswith(prefix)]
+        return len(shapes), sum(math.prod(shape) for shape in shapes)
+
+    assert count("vision_backbone.featurizer.") == (343, 303_230_976)
+    assert count("vision_backbone.fused_featurizer.") == (342, 427_680_704)
+    assert round(count("projector.")[1] / 1e6, 1) == 71.4
+    assert round(count("")[1] / 1e9, 3) == 7.541

@@ -165,6 +165,7 @@ def test_compiled_layers_give_the_same_tokens(toy, runtime):
 
 
 @pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("family", ["openvla", "openvla-oft"])
 def test_cuda_graphs_answer_as_the_plain_loop_does(toy, family):
     runtimes = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from rn_accel_fastv.config import FastVConfig, PresetConfig
-from rn_runtime_torch.pruning import PrunableDecoder
 from roboneuron.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -87,7 +87,8 @@ class Engine:
 
     def _warm_lengths(self, config: TorchRuntimeConfig) -> range:
         first, last = config.warm_prompt_tokens
-        last = min(last, self._model.max_prompt_tokens)
+        added_by_family = self._model.example(1).prompt.ids.size - 1
+        last = min(last, self._model.max_prompt_tokens - added_by_family)
         first = min(first, last)
         return range(first, (first if self._graphs is None else last) + 1)
 

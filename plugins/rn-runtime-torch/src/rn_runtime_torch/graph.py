@@ -50,7 +50,8 @@ class GraphCache:
             Outputs, valid until the next call, and the note.
         """
         if key not in self._recorded:
-            self._recorded[key] = self._record(compute, inputs, note)
+            with torch.cuda.device(self._device):
+                self._recorded[key] = self._record(compute, inputs, note)
             if len(self._recorded) > _MOST_GRAPHS:
                 self._recorded.popitem(last=False)
         self._recorded.move_to_end(key)
