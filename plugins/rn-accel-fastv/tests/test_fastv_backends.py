@@ -162,7 +162,8 @@ def test_planning_refuses_a_runtime_without_bidirectional_rows_for_oft():
 
 def test_building_backend_runtime_and_preset_does_not_import_torch():
     code = (
-        "import sys, rn_backend_openvla.backend, rn_backend_oft.backend, rn_runtime_torch.runtime, rn_accel_fastv.preset\n"
+        "import sys, rn_backend_openvla.backend, rn_backend_oft.backend\n"
+        "import rn_runtime_torch.runtime, rn_accel_fastv.preset\n"
         "rn_accel_fastv.preset.FastVP50(); rn_runtime_torch.runtime.TorchRuntime()\n"
         "sys.exit('torch' in sys.modules)"
     )
