@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_controller_urdf.collision import SelfCollision
 from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import ArmModel, build_arm_model
 from rn_controller_urdf.options import UrdfControllerOptions
@@ -22,7 +23,7 @@ from rn_controller_urdf.refusals import (
     joint_bounds,
     shortest_duration_s,
 )
-from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, RobotProfile
+from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
 from roboneuron.contract.rotation import quaternion_from_matrix
 from roboneuron.errors import StateError, UnsafeError
 
@@ -34,6 +35,15 @@ _STOP_FRACTION = 0.1
 
 def _not_loaded() -> StateError:
     return StateError("The controller 'urdf' was used before it was loaded.", hint="Call load() first.")
+
+
+def _pose(viewer: InverseKinematics, position: F64, stamp_ns: int) -> Pose:
+    pose = viewer.place(position)
+    return Pose(
+        position_m=np.array(pose.translation),
+        quaternion_xyzw=quaternion_from_matrix(pose.rotation),
+        stamp_ns=stamp_ns,
+    )
 
 
 class UrdfController:
@@ -49,6 +59,7 @@ class UrdfController:
         self._model: ArmModel | None = None
         self._solver: InverseKinematics | None = None
         self._viewer: InverseKinematics | None = None
+        self._collision: SelfCollision | None = None
         self._bounds: tuple[JointBounds, ...] | None = None
         self._order: tuple[tuple[str, ...], list[int]] = ((), [])
 
@@ -62,6 +73,8 @@ class UrdfController:
         self._bounds = joint_bounds(self._options, self._model)
         self._solver = InverseKinematics(self._model)
         self._viewer = InverseKinematics(self._model)
+        if self._options.self_collision:
+            self._collision = SelfCollision(self._profile, margin_m=self._options.self_collision_margin_m)
 
     def forward(self, joints: JointSample) -> Pose:
         """TCP pose in the base frame, stamped as the joints are.
@@ -70,19 +83,19 @@ class UrdfController:
             UnsafeError: an arm joint is missing or not finite.
             StateError: called before `load`.
         """
-        model, viewer = self._model, self._viewer
-        if model is None or viewer is None:
-            raise _not_loaded()
-        position = self._arm_position(model, joints)
-        if isinstance(position, Hold):
-            raise UnsafeError(position.reason)
-        if not all(map(math.isfinite, position.tolist())):
-            raise UnsafeError(f"A measured joint of {list(model.joints)} is not finite: {position.tolist()}.")
-        pose = viewer.place(position)
-        return Pose(
-            position_m=np.array(pose.translation),
-            quaternion_xyzw=quaternion_from_matrix(pose.rotation),
-            stamp_ns=joints.stamp_ns,
+        viewer, position = self._viewed(joints)
+        return _pose(viewer, position, joints.stamp_ns)
+
+    def inspect(self, joints: JointSample) -> Posture:
+        """TCP pose, smallest singular value and, with the option `self_collision`, contacts. Raises as `forward`."""
+        viewer, position = self._viewed(joints)
+        assert self._model is not None
+        return Posture(
+            pose=_pose(viewer, position, joints.stamp_ns),
+            smallest_singular_value=viewer.smallest_singular_value(
+                position, track_rotation=self._options.track == "pose"
+            ),
+            contact=None if self._collision is None else self._collision.contact(self._model.joints, position),
         )
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
@@ -135,7 +148,19 @@ class UrdfController:
 
     def close(self) -> None:
         """Forget the arm."""
-        self._model = self._solver = self._viewer = self._bounds = None
+        self._model = self._solver = self._viewer = self._bounds = self._collision = None
+
+    def _viewed(self, joints: JointSample) -> tuple[InverseKinematics, F64]:
+        """The solver that only looks, and finite arm joints (n,); raises as `forward`."""
+        model, viewer = self._model, self._viewer
+        if model is None or viewer is None:
+            raise _not_loaded()
+        position = self._arm_position(model, joints)
+        if isinstance(position, Hold):
+            raise UnsafeError(position.reason)
+        if not all(map(math.isfinite, position.tolist())):
+            raise UnsafeError(f"A measured joint of {list(model.joints)} is not finite: {position.tolist()}.")
+        return viewer, position
 
     def _loaded(self) -> tuple[ArmModel, InverseKinematics, tuple[JointBounds, ...]]:
         if self._model is None or self._solver is None or self._bounds is None:

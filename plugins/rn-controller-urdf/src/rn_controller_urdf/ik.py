@@ -60,6 +60,16 @@ class InverseKinematics:
         self._pin.forwardKinematics(model.kinematics, self._data, self._chain_positions(position))
         return self._pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame).copy()
 
+    def smallest_singular_value(self, position: F64, *, track_rotation: bool = True) -> float:
+        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad per joint unit."""
+        model, pin = self._model, self._pin
+        pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
+        pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
+        jacobian: F64 = pin.getFrameJacobian(model.kinematics, self._data, model.tcp_frame, self._local)
+        if model.coupling is not None:
+            jacobian = jacobian @ model.coupling[0]
+        return float(np.linalg.svd(jacobian if track_rotation else jacobian[:3], compute_uv=False)[-1])
+
     def shift(self, pose: Any, translation_m: F64, rotation_rad: F64) -> Any:
         """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as `roboneuron.contract.apply_delta`."""
         return self._pin.SE3(np.dot(self._pin.exp3(rotation_rad), pose.rotation), pose.translation + translation_m)

@@ -1,0 +1,115 @@
+"""Which limits hold and what happens at each: from the configuration, never wider than the robot's profile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.config import LimitsConfig, Reaction
+from roboneuron.contract import RobotProfile
+from roboneuron.errors import ConfigurationError
+
+F64 = NDArray[np.float64]
+
+LIMITS = (
+    "position",
+    "velocity",
+    "acceleration",
+    "step",
+    "speed",
+    "workspace",
+    "zone",
+    "height",
+    "singularity",
+    "collision",
+)
+"""Names under which limits are configured (`on_<name>`), counted and reported."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Zone:
+    """A box in the base frame that the TCP must not enter; float64 (3,) [m]."""
+
+    name: str
+    lower_m: F64
+    upper_m: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MotionRules:
+    """Numbers and reactions; infinite where nothing is limited.
+
+    Attributes:
+        reactions: "hold", "scale" or "refuse" by limit.
+        velocity_fraction, acceleration_fraction: shares of the joints' limits in use.
+        max_step_m, max_step_rad: farthest that one command may move the TCP from where it is measured.
+        max_speed_m_s, max_turn_rad_s: fastest motion of the TCP.
+        lower_m, upper_m: workspace box of the TCP, float64 (3,), base frame.
+        min_height_m: lowest z of the TCP, base frame.
+        zones: where it must not be.
+        min_singular_value: smallest allowed distance from a singularity.
+    """
+
+    reactions: Mapping[str, Reaction]
+    velocity_fraction: float = 1.0
+    acceleration_fraction: float = 1.0
+    max_step_m: float = np.inf
+    max_step_rad: float = np.inf
+    max_speed_m_s: float = np.inf
+    max_turn_rad_s: float = np.inf
+    lower_m: F64 = field(default_factory=lambda: np.full(3, -np.inf))
+    upper_m: F64 = field(default_factory=lambda: np.full(3, np.inf))
+    min_height_m: float = -np.inf
+    zones: tuple[Zone, ...] = ()
+    min_singular_value: float = 0.0
+
+
+def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
+    """The rules for one robot.
+
+    Raises:
+        ConfigurationError: a box is empty, or a workspace is wider than the profile's.
+    """
+    lower, upper = _workspace(config, profile)
+    return MotionRules(
+        reactions={name: getattr(config, f"on_{name}") for name in LIMITS},
+        velocity_fraction=config.velocity_fraction,
+        acceleration_fraction=config.acceleration_fraction,
+        max_step_m=config.max_step_m,
+        max_step_rad=config.max_step_rad,
+        max_speed_m_s=config.max_speed_m_s,
+        max_turn_rad_s=config.max_turn_rad_s,
+        lower_m=lower,
+        upper_m=upper,
+        min_height_m=-np.inf if config.min_height_m is None else config.min_height_m,
+        zones=tuple(_zone(zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
+        min_singular_value=config.min_singular_value,
+    )
+
+
+def _zone(name: str, lower_m: list[float], upper_m: list[float]) -> Zone:
+    lower, upper = np.array(lower_m), np.array(upper_m)
+    if not (lower < upper).all():
+        raise ConfigurationError(f"limits.zones: {name!r} reaches from {lower_m} to {upper_m} m, which is no box.")
+    return Zone(name=name, lower_m=lower, upper_m=upper)
+
+
+def _workspace(config: LimitsConfig, profile: RobotProfile) -> tuple[F64, F64]:
+    widest = profile.workspace
+    lower = np.full(3, -np.inf) if widest is None else np.asarray(widest.lower_m, dtype=np.float64)
+    upper = np.full(3, np.inf) if widest is None else np.asarray(widest.upper_m, dtype=np.float64)
+    asked_lower = lower if config.workspace_lower_m is None else np.array(config.workspace_lower_m)
+    asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
+    if (asked_lower < lower).any() or (asked_upper > upper).any():
+        raise ConfigurationError(
+            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than that of robot "
+            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be tightened."
+        )
+    if not (asked_lower < asked_upper).all():
+        raise ConfigurationError(
+            f"limits.workspace reaches from {asked_lower.tolist()} to {asked_upper.tolist()} m, which is no box."
+        )
+    return asked_lower, asked_upper
