@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import JointState
@@ -13,8 +13,10 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, RobotProfile
-from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
+from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
+from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
@@ -31,6 +33,8 @@ from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, 
 _POSE_PERIOD_S = 0.02
 _HOLD_DURATION_S = 0.05
 _SHORTEST_STEP_S, _FIRST_STEP_S = 0.02, 0.1
+_FUTURE_S = 0.1
+"""How far the clock of another machine may be ahead of this one."""
 
 
 class ControlModule(Module):
@@ -44,8 +48,8 @@ class ControlModule(Module):
         self._ee_pose: LifecyclePublisher | None = None
         self._timer: Any = None
         self._subscriptions: list[object] = []
-        self._joints: JointSample | None = None
-        self._joints_s = 0.0
+        self._watched: JointWatch | None = None
+        self._guard: MotionGuard | None = None
         self._pose_s = 0.0
         self._action_s = 0.0
         self._action_ns = 0
@@ -74,6 +78,10 @@ class ControlModule(Module):
         options = self.config.options(plan.controller.name)
         self._controller = cast("Controller", build(plan.controller, options, self._profile))
         self._controller.load()
+        self._watched = JointWatch(self._profile, config.state_timeout_s)
+        self._guard = MotionGuard(
+            self.config, self._profile, self._controller, self.status, Path(self.settings.state_directory)
+        )
         self.status.set_value("controller", plan.controller.name)
         self._ee_pose = self.node.create_lifecycle_publisher(PoseStamped, EE_POSE, NEWEST)
         self._command = (
@@ -112,33 +120,35 @@ class ControlModule(Module):
             if publisher is not None:
                 self.node.destroy_lifecycle_publisher(publisher)
         self._command = self._ee_pose = None
+        if self._guard is not None:
+            self._guard.close()
         if self._controller is not None:
             self._controller.close()
-            self._controller = None
+        self._controller = self._guard = self._watched = None
 
     def emergency_stop(self, latched: bool) -> None:
         """Hold as long as the latch is set."""
         if latched and self._active:
             self._hold("emergency_stop", "The emergency stop is latched.")
 
+    @property
+    def _joints(self) -> JointSample | None:
+        """Newest joint state that was believed."""
+        return None if self._watched is None else self._watched.joints
+
     def _on_joint_state(self, message: JointState) -> None:
-        if self._controller is None:
+        if self._watched is None:
             return
         now_s = time.monotonic()
         try:
             joints = joints_from_message(message)
-            if self._joints is not None and joints.stamp_ns < self._joints.stamp_ns:
-                raise InvalidInputError("A joint state is older than the one before.")
-            if not np.isfinite(joints.position).all():
-                raise UnsafeError("A joint state holds non-finite positions.")
-            if self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
+            is_new = self._watched.accept(joints, now_s, int(self.node.get_clock().now().nanoseconds))
+            if is_new and self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
                 self._publish_pose(joints)
                 self._pose_s = now_s
         except RoboNeuronError as error:
             self.status.dropped.add("bad_joint_state")
             self.status.set_error(error)
-            return
-        self._joints, self._joints_s = joints, now_s
 
     def _publish_pose(self, joints: JointSample) -> None:
         assert self._controller is not None
@@ -171,21 +181,33 @@ class ControlModule(Module):
             return "emergency_stop"
         if age_s > self._limits.action_timeout_s:
             return "stale_action"
-        if source_ns < self._action_ns:
+        if age_s < -_FUTURE_S:
+            return "future_action"
+        if source_ns < self._action_ns <= time.time_ns() + _FUTURE_S * 1e9:  # else the clock was set back since
             return "reordered_action"
-        if self._joints is None or time.monotonic() - self._joints_s > self._limits.state_timeout_s:
+        if self._are_joints_stale():
             return "stale_joint_state"
         return None
 
+    def _are_joints_stale(self) -> bool:
+        return self._watched is None or self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
+
     def _execute(self, action: Action, source_ns: int, age_s: float) -> None:
+        joints = self._joints
         assert self._controller is not None
-        assert self._joints is not None
+        assert self._guard is not None
+        assert joints is not None
         now_s = time.monotonic()
         since_s = now_s - self._action_s
         step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else _FIRST_STEP_S
-        self._action_s, self._action_ns = now_s, source_ns
-        outcome = self._controller.compute(action, self._joints, step_s)
+        self._action_ns = source_ns
+        outcome: JointCommand | Hold | None = self._controller.compute(action, joints, step_s)
+        if isinstance(outcome, JointCommand):
+            outcome = self._guard.judge(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
+        if outcome is None:  # refused: what was sent before comes to its end, and is then held by the watchdog
+            return
+        self._action_s = now_s
         if isinstance(outcome, Hold):
             self.status.dropped.add(outcome.code)
             self._hold(outcome.code, outcome.reason)
@@ -204,26 +226,25 @@ class ControlModule(Module):
             return
         if time.monotonic() - self._action_s > self._limits.action_timeout_s * 0.75:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
-        elif time.monotonic() - self._joints_s > self._limits.state_timeout_s:
+        elif self._are_joints_stale():
             self._hold("stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s.")
 
     def _hold(self, code: str, reason: str) -> None:
         """Command the measured posture, once per reason to hold."""
         self.status.set_value("note", f"holding: {reason}")
         self.status.set_value("hold_code", code)
-        if self._holding or self._joints is None or self._profile is None:
+        joints = self._joints
+        if self._holding or joints is None or self._profile is None:
             self._holding = True
             return
         self._holding = True
         self.status.dropped.add("holds")
-        index = [i for i, name in enumerate(self._joints.names) if name in self._profile.arm_joints]
+        index = [joints.names.index(name) for name in self._profile.arm_joints]
         self._send(
-            JointCommand(
-                names=tuple(self._joints.names[i] for i in index),
-                position=self._joints.position[index],
-                duration_s=_HOLD_DURATION_S,
-            )
+            JointCommand(names=self._profile.arm_joints, position=joints.position[index], duration_s=_HOLD_DURATION_S)
         )
+        if self._guard is not None:
+            self._guard.rest(joints, time.monotonic())
 
     def _send(self, command: JointCommand) -> None:
         assert self._command is not None

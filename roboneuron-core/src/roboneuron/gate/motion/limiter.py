@@ -22,6 +22,8 @@ F64 = NDArray[np.float64]
 
 LOST = 0.1
 """Farther [rad or m] than this from where the commands should have brought it, the arm does not follow them."""
+_MEMORY_S = 1.0
+"""After so long without a command the arm rests, and is met where it is measured."""
 _SHORTEST_S = 1e-3
 _HALVINGS = 6
 """How finely the share of a step is sought that stays out of a zone: to 1/64."""
@@ -151,10 +153,10 @@ class MotionLimiter:
         asked = pick(command.names, command.position, self._names)
         if not (math.isfinite(command.duration_s) and command.duration_s > 0.0):
             raise UnsafeError(f"A command lasts {command.duration_s} s, expected a finite time > 0.")
-        commanded = self._commanded.at(now_s)
+        since_s = self._commanded.passed_s(now_s)
+        commanded = self._commanded.at(now_s) if since_s < _MEMORY_S else None
         lost = commanded is not None and float(np.abs(commanded[0] - measured).max()) > LOST
         start, before = (measured, np.zeros_like(measured)) if commanded is None or lost else commanded
-        since_s = self._commanded.passed_s(now_s)
         duration_s = max(_SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s)
         step = _Step(
             measured=measured,

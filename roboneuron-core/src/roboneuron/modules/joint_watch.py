@@ -1,0 +1,97 @@
+"""Which joint states control believes: fresh, in order, complete, finite, and where the arm can have got to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import JointSample, RobotProfile
+from roboneuron.errors import InvalidInputError, UnsafeError
+
+F64 = NDArray[np.float64]
+
+_SLACK = 0.05
+"""What noise and a late message may add to the way between two states [rad or m]."""
+_HASTE = 2.0
+"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine."""
+
+
+class JointWatch:
+    """Keeps the newest joint state that can be true; used from the executor's thread.
+
+    After `timeout_s` without one, the next state is compared with none before it: a clock that was set, or an arm that
+    was moved while nobody listened, stops the arm for that long and not for ever.
+
+    Attributes:
+        joints: the newest state, or None when there was none.
+    """
+
+    def __init__(self, profile: RobotProfile, timeout_s: float) -> None:
+        self.joints: JointSample | None = None
+        self._names = profile.arm_joints
+        self._velocity = None if profile.limits is None else np.asarray(profile.limits.velocity, dtype=np.float64)
+        self._timeout_s = timeout_s
+        self._at_s = 0.0
+        self._order: tuple[tuple[str, ...], list[int]] = ((), [])
+
+    def age_s(self, now_s: float) -> float:
+        """Monotonic time since the newest state was accepted; infinite without one."""
+        return np.inf if self.joints is None else now_s - self._at_s
+
+    def accept(self, joints: JointSample, now_s: float, ros_now_ns: int) -> bool:
+        """Take a state; False for one that repeats the one before.
+
+        Args:
+            joints: as received.
+            now_s: monotonic time.
+            ros_now_ns: time by the clock of stamps.
+
+        Raises:
+            InvalidInputError: it is older than the one before, or its stamp is far from now.
+            UnsafeError: a joint of the arm is missing, not finite, or where it cannot have got to.
+        """
+        age_s = (ros_now_ns - joints.stamp_ns) / 1e9
+        if abs(age_s) > self._timeout_s:
+            raise InvalidInputError(
+                f"A joint state was measured {abs(age_s):.3g} s {'ago' if age_s > 0 else 'in the future'}, at most "
+                f"{self._timeout_s:g} s are allowed.",
+                hint="Is the robot's driver stuck, or are the clocks of two machines apart?",
+            )
+        position = self._arm(joints)
+        if self.joints is not None and self.age_s(now_s) <= self._timeout_s:
+            if joints.stamp_ns < self.joints.stamp_ns:
+                raise InvalidInputError("A joint state is older than the one before.")
+            if joints.stamp_ns == self.joints.stamp_ns:
+                return False
+            self._check_way(position, now_s)
+        self.joints, self._at_s = joints, now_s
+        return True
+
+    def _arm(self, joints: JointSample) -> F64:
+        names, index = self._order
+        if names != joints.names:
+            missing = [name for name in self._names if name not in joints.names]
+            if missing:
+                raise UnsafeError(
+                    f"A joint state lacks {', '.join(missing)} of the arm; it names {list(joints.names)}."
+                )
+            index = [joints.names.index(name) for name in self._names]
+            self._order = (joints.names, index)
+        if not np.isfinite(joints.position).all():
+            raise UnsafeError("A joint state holds non-finite positions.")
+        position: F64 = joints.position[index]
+        return position
+
+    def _check_way(self, position: F64, now_s: float) -> None:
+        assert self.joints is not None
+        if self._velocity is None:
+            return
+        before = self.joints.position[[self.joints.names.index(name) for name in self._names]]
+        way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - _SLACK
+        if way.max() > 0.0:
+            i = int(way.argmax())
+            raise UnsafeError(
+                f"{self._names[i]} is measured at {position[i]:.4f}, {abs(position[i] - before[i]):.4f} from where it "
+                f"was {now_s - self._at_s:.3f} s before; no arm is that fast.",
+                hint="Does something else publish joint states?",
+            )
