@@ -73,8 +73,7 @@ class ManagedServer:
             return ""
         status = self._child.returncode
         how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
-        lines = "\n".join(self._last_lines())
-        return f"The SGLang server (process {self._child.pid}) {how}. Its last lines ({self._log}):\n{lines}"
+        return f"The SGLang server (process {self._child.pid}) {how}. {self.last_lines()}"
 
     def check(self) -> None:
         """Raise NotReadyError with the last lines when the server has ended by itself."""
@@ -157,15 +156,16 @@ class ManagedServer:
             if self._child is not None and self._child.returncode is None:
                 _kill_group(self._child.pid, number)
 
-    def _last_lines(self) -> list[str]:
+    def last_lines(self) -> str:
+        """The end of its output, without the key."""
         try:
             with self._log.open("rb") as file:
                 file.seek(max(0, self._log.stat().st_size - 16384))
                 text = file.read().decode("utf-8", "replace")
         except OSError as error:
-            return [f"(not readable: {error})"]
+            return f"Its output cannot be read: {error}"
         lines = [line[:300] for line in text.replace(self._key, "***").splitlines() if line.strip()]
-        return lines[-LAST_LINES:]
+        return "\n".join((f"Its last lines ({self._log}):", *lines[-LAST_LINES:]))
 
 
 def _kill_group(group: int, number: signal.Signals) -> None:

@@ -67,7 +67,12 @@ class SglangRuntime:
         expectation = Expectation.of(model.checkpoint)
         accesses = self._launch(model) if config.python is not None else self._remote()
         self._fleet = Fleet([Server(access, expectation, config.poll_s) for access in accesses])
-        self._fleet.start(config.start_timeout_s, self._check_process)
+        try:
+            self._fleet.start(config.start_timeout_s, self._check_process)
+        except NotReadyError as error:
+            if self._managed is not None and not self._managed.failure():
+                error.hint = self._managed.last_lines()
+            raise
         self._model = model
         example = model.example(min(_WARM_PROMPT_TOKENS, model.max_prompt_tokens))
         assert isinstance(example, TokenRequest)

@@ -1,0 +1,258 @@
+"""The closed loop on the simulated FR3, its model in process, then served, then killed, then in process again.
+
+    loop.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--checkpoint DIRECTORY]
+
+An MCP client as any other; a ROS node beside it looks at the topics from outside. Exits with 1 when something is off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+from rn_backend_openvla.tiny import STATISTICS_KEY, make_tiny
+from roboneuron.demo.agent import Agent, module_status
+from roboneuron.errors import NotReadyError
+from roboneuron.ros.environment import prepare_environment
+
+WATCH_S = 8.0
+INSTRUCTION = "pick up the red bowl"
+_CONFIGURATION = """
+[robot]
+name = "fr3"
+driver = "simulated"
+
+[perception]
+source = "fr3-sim-camera"
+
+[inference]
+backend = "openvla"
+checkpoint = {checkpoint}
+max_image_age_s = 2.0
+
+[control]
+controller = "urdf"
+action_timeout_s = 1.0
+
+[supervisor]
+start_timeout_s = 400.0
+state_directory = {state}
+
+[plugins.fr3-sim-camera]
+rate_hz = 5
+
+[plugins.openvla]
+profile = "libero"
+unnorm_key = {key}
+
+[plugins.sglang]
+python = {python}
+device = {device}
+timeout_s = 1.8
+start_timeout_s = 380.0
+"""
+
+
+class Witness:
+    """Looks at the robot's topics as any other ROS node does."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+
+        rclpy.init()
+        self._rclpy = rclpy
+        self._node = rclpy.create_node("witness")
+        self.actions = 0
+        self.speed = 0.0
+        self._joints: tuple[float, list[float]] | None = None
+        self._node.create_subscription(Float64MultiArray, "/fr3/action", self._on_action, 10)
+        self._node.create_subscription(JointState, "/fr3/joint_states", self._on_joints, 10)
+        self._executor = rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        threading.Thread(target=self._executor.spin, daemon=True).start()
+
+    def _on_action(self, message: Any) -> None:
+        assert len(message.data) == 7
+        self.actions += 1
+
+    def _on_joints(self, message: Any) -> None:
+        now_s, positions = time.monotonic(), list(message.position[:7])
+        if self._joints is not None and now_s - self._joints[0] > 0.2:
+            span_s = now_s - self._joints[0]
+            self.speed = max(abs(a - b) for a, b in zip(positions, self._joints[1], strict=True)) / span_s
+            self._joints = (now_s, positions)
+        elif self._joints is None:
+            self._joints = (now_s, positions)
+
+    def topics(self) -> dict[str, str]:
+        """Topics of the robot with publishers, and their types."""
+        return {
+            name: types[0]
+            for name, types in self._node.get_topic_names_and_types()
+            if name.startswith("/fr3/") and self._node.count_publishers(name) and "transition_event" not in name
+        }
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._rclpy.try_shutdown()
+
+
+class Story:
+    """The steps, each printed with what was seen."""
+
+    def __init__(self, agent: Agent, witness: Witness) -> None:
+        self._agent = agent
+        self._witness = witness
+        self.failures: list[str] = []
+
+    def expect(self, condition: bool, text: str) -> None:
+        """Print and remember."""
+        print(f"  {'ok  ' if condition else 'FAIL'} {text}", flush=True)
+        if not condition:
+            self.failures.append(text)
+
+    async def watch(self, name: str) -> dict[str, Any]:
+        """Count actions for a while; returns the status of inference."""
+        before, fastest = self._witness.actions, 0.0
+        ends_s = time.monotonic() + WATCH_S
+        while time.monotonic() < ends_s:
+            await asyncio.sleep(0.2)
+            fastest = max(fastest, self._witness.speed)
+        count = self._witness.actions - before
+        self.expect(count > 0, f"{name}: {count} actions in {WATCH_S:.0f} s, fastest joint {fastest:.3f} rad/s")
+        status = module_status(await self._agent.status(), "inference")
+        numbers = {
+            key.removeprefix("backend."): round(float(value), 1)
+            for key, value in status["metrics"].items()
+            if key.startswith("backend.")
+        }
+        print(f"       started with {status['started_with']}")
+        print(f"       latency {status['latency_ms']} ms, {json.dumps(numbers)}", flush=True)
+        return status
+
+    async def play(self) -> None:
+        """Everything."""
+        agent, witness = self._agent, self._witness
+        for tool in ("start_robot", "start_perception", "start_control"):
+            await agent.call(tool)
+        await agent.call("start_inference", {"runtime": "torch", "instruction": INSTRUCTION})
+        await self.watch("in process")
+        topics = witness.topics()
+        print(f"       topics: {', '.join(topics)}")
+        switched = await agent.call("switch_inference", {"runtime": "sglang"})
+        print(f"switched to the served model: took {switched['took_s']:.0f} s, gap {switched.get('gap_s')} s")
+        self.expect(witness.topics() == topics, "all topics and types are the same")
+        status = await self.watch("served")
+        self.expect(float(status["metrics"]["backend.served.servers_ready"]) == 1.0, "the server is ready")
+        await self.kill(status)
+        switched = await agent.call("switch_inference", {"runtime": "torch"})
+        print(f"switched back: took {switched['took_s']:.0f} s")
+        await self.watch("in process again")
+        self.expect(witness.topics() == topics, "all topics and types are the same")
+        await agent.call("stop_all")
+
+    async def kill(self, status: dict[str, Any]) -> None:
+        """End the server the hard way while the arm moves."""
+        module = psutil.Process(status["pid"])
+        server = next(c for c in module.children(recursive=True) if "rn_runtime_sglang.served" in " ".join(c.cmdline()))
+        group = server.children(recursive=True)
+        server.send_signal(signal.SIGKILL)
+        killed_s = time.monotonic()
+        print(f"killed the server (process {server.pid}) during motion")
+        error: dict[str, Any] = {}
+        while time.monotonic() - killed_s < 10.0 and "SIGKILL" not in error.get("message", ""):
+            await asyncio.sleep(0.1)
+            error = module_status(await self._agent.status(), "inference").get("error") or {}
+        first = error.get("message", "none").splitlines()[0]
+        self.expect("SIGKILL" in first, f"error after {time.monotonic() - killed_s:.1f} s: {first}")
+        await asyncio.sleep(2.0)
+        before = self._witness.actions
+        await asyncio.sleep(2.0)
+        self.expect(self._witness.actions == before, "no action any more")
+        self.expect(self._witness.speed < 0.01, f"the arm holds: fastest joint {self._witness.speed:.4f} rad/s")
+        modules = (await self._agent.status())["modules"]
+        others = {m["module"]: m["ready"] for m in modules if m["module"] != "inference"}
+        self.expect(all(others.values()) and len(others) == 3, f"the rest runs on: {others}")
+        _, alive = psutil.wait_procs(group, timeout=5.0)
+        self.expect(not alive, "nothing of the server is left")
+
+
+async def run(options: argparse.Namespace, directory: Path) -> bool:
+    """Write checkpoint and configuration, start the server, play."""
+    checkpoint = options.checkpoint
+    if checkpoint is None:
+        checkpoint = directory / "tiny"
+        make_tiny(checkpoint, seed=3)
+    told = {
+        "checkpoint": str(checkpoint),
+        "state": str(directory / "state"),
+        "key": STATISTICS_KEY,
+        "python": str(options.python.absolute()),
+        "device": options.device,
+    }
+    path = directory / "roboneuron.toml"
+    path.write_text(_CONFIGURATION.format(**{k: json.dumps(v) for k, v in told.items()}), encoding="utf-8")
+    server = StdioServerParameters(
+        command=sys.executable,
+        args=["-m", "roboneuron.cli.main", "serve", "--config", str(path)],
+        env=dict(os.environ),
+    )
+    witness = Witness()
+    try:
+        with (directory / "server.log").open("w", encoding="utf-8") as log:
+            async with Client(stdio_client(server, errlog=log)) as client:
+                story = Story(PatientAgent(client), witness)
+                try:
+                    await story.play()
+                except NotReadyError as error:
+                    story.expect(False, str(error))
+    finally:
+        witness.close()
+    return not story.failures
+
+
+class PatientAgent(Agent):
+    """Waits as long as an engine may take to start."""
+
+    async def call(self, tool: str, arguments: Any = None) -> dict[str, Any]:
+        """As `Agent.call`."""
+        result = await self._client.call_tool(tool, dict(arguments or {}), read_timeout_seconds=450.0)
+        if result.is_error:
+            raise NotReadyError(f"{tool}: {' '.join(getattr(part, 'text', '') for part in result.content)}")
+        return dict(result.structured_content or {})
+
+
+def main() -> int:
+    """Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--python", type=Path, required=True)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--checkpoint", type=Path)
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(30, 99)))
+    with tempfile.TemporaryDirectory(prefix="rn-interop-loop-") as held:
+        prepare_environment(Path(held) / "ros")
+        good = asyncio.run(run(options, Path(held)))
+    print("PASSED" if good else "FAILED")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
