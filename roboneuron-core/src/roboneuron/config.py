@@ -32,6 +32,9 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
+Restart = Literal["never", "on_failure"]
+
+
 class RobotConfig(_Section):
     """`[robot]`: which robot, moved how."""
 
@@ -39,6 +42,7 @@ class RobotConfig(_Section):
     driver: Name = Field(default="simulated", description="one of the robot's drivers")
     namespace: Namespace | None = Field(default=None, description="ROS namespace; the robot's name when not given")
     command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
+    restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move again")
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
 
@@ -47,6 +51,7 @@ class PerceptionConfig(_Section):
     """`[perception]`: where images come from."""
 
     source: Name = Field(description="a perception source offered by an installed plugin")
+    restart: Restart = Field(default="on_failure", description="whether it comes back by itself")
     cameras: tuple[CameraName, ...] = Field(
         default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
     )
@@ -57,6 +62,7 @@ class InferenceConfig(_Section):
     """`[inference]`: which policy runs, and how."""
 
     backend: Name = Field(description="a backend offered by an installed plugin")
+    restart: Restart = Field(default="never", description="whether it comes back by itself; then it acts again")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
     runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
     acceleration: Name | None = Field(default=None, description="acceleration preset; none when not given")
@@ -73,6 +79,7 @@ class ControlConfig(_Section):
     """`[control]`: how actions become joint commands."""
 
     controller: Name = Field(description="a controller offered by an installed plugin")
+    restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move the arm")
     action_timeout_s: Seconds = Field(default=0.5, description="older actions are dropped; then the arm holds")
     state_timeout_s: Seconds = Field(default=0.25, description="older joint states stop the arm")
     command: Literal["joint_trajectory", "joint_state"] = Field(
@@ -134,6 +141,12 @@ class SupervisorConfig(_Section):
 
     start_timeout_s: Seconds = Field(default=60.0, description="spawn until proof of readiness (loading included)")
     stop_timeout_s: Seconds = Field(default=5.0, description="deactivate and SIGTERM before SIGKILL")
+    unresponsive_s: Seconds = Field(default=2.0, description="frozen for this long, a module may be restarted")
+    restart_backoff_s: Annotated[float, Field(ge=0, le=600)] = Field(
+        default=0.5, description="wait before a restart; doubled by each one before it"
+    )
+    restart_limit: Annotated[int, Field(ge=0, le=100)] = Field(default=3, description="most restarts in one window")
+    restart_window_s: Seconds = Field(default=120.0, description="restarts longer ago do not count")
     state_directory: str | None = Field(default=None, description="logs, latch and audit; XDG state when not given")
 
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import Frame, JointSample, Pose
-from roboneuron.modules.turn import NEVER_NS
+from roboneuron.modules.settings import NEVER_NS
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
 pytestmark = pytest.mark.ros

@@ -22,7 +22,8 @@ TOOLS = {
     *("stop_robot", "stop_perception", "stop_control", "stop_inference", "stop_all"),
     *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
     *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
-    "list_accelerations",
+    *("list_accelerations", "list_interfaces", "describe_interface", "list_topics", "list_nodes"),
+    *("move_ee", "read_joint_states"),  # derived from the robot's profile
 }
 
 
@@ -65,7 +66,7 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
     for tool in listing(application).values():
         hints = tool.annotations
         assert hints is not None
-        reads = tool.name.startswith(("list_", "get_"))
+        reads = tool.name.startswith(("list_", "get_", "read_", "describe_"))
         assert hints.read_only_hint == reads
         assert hints.destructive_hint == (tool.name.startswith(("stop_", "switch_", "emergency", "reset")))
         assert not (hints.read_only_hint and hints.destructive_hint)
@@ -76,7 +77,9 @@ def test_choices_are_the_installed_plugins_with_their_summaries(application: App
     backend = tools["start_inference"].input_schema["properties"]["backend"]
     assert sorted(backend["enum"]) == ["heavy", "instant"]
     assert "instant: Answers at once with a small move along x" in backend["description"]
-    assert tools["switch_inference"].input_schema == tools["start_inference"].input_schema
+    switch = tools["switch_inference"].input_schema["properties"]
+    start = tools["start_inference"].input_schema["properties"]
+    assert switch == start | {key: switch[key] for key in ("mode", "rollback")}
     assert tools["start_inference"].input_schema["properties"]["runtime"]["enum"] == ["counting"]
     assert tools["get_camera_image"].input_schema["properties"]["camera"]["enum"] == ["front", "hand"]
 

@@ -20,8 +20,8 @@ from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, StatusKey
-from roboneuron.modules.turn import TURN_PARAMETERS, Turn
+from roboneuron.modules.settings import ACT_FROM, INSTRUCTION_PARAMETER, NEVER_NS, TURN_PARAMETERS, StatusKey
+from roboneuron.modules.turn import Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
@@ -30,6 +30,8 @@ from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image
 
 _WAIT_S = 0.1
+_FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
+"""A backend is stalled when it takes three times as long as it ever did; before the first prediction, after 5 s."""
 _PACE = 0.8
 """The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
@@ -45,10 +47,13 @@ class InferenceModule(Module):
         self._publisher: LifecyclePublisher | None = None
         self._subscriptions: list[object] = []
         self._inputs: NewestInputs | None = None
-        self._worker = Worker("inference", self._step, self.status)
+        self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         self._instruction = Instruction(self.status)
         self._turn = Turn()
         self._next_s = 0.0
+        self._shadow_count = 0
+        self._longest_s = 0.0
+        self._has_acted = False
 
     def configure(self) -> None:
         """Load the backend (weights and warm-up included), then subscribe to its inputs."""
@@ -145,7 +150,7 @@ class InferenceModule(Module):
         if not self.node.has_parameter(INSTRUCTION_PARAMETER):
             self.node.add_on_set_parameters_callback(self._on_parameters)
             for name in TURN_PARAMETERS:
-                self.node.declare_parameter(name, 0)
+                self.node.declare_parameter(name, NEVER_NS if self.settings.shadow and name == ACT_FROM else 0)
             self.node.declare_parameter(INSTRUCTION_PARAMETER, instruction)
         else:
             self.node.set_parameters([Parameter(INSTRUCTION_PARAMETER, value=instruction)])
@@ -198,7 +203,11 @@ class InferenceModule(Module):
             self._backend.reset()
         started_s = time.monotonic()
         chunk = self._backend.predict(replace(observation, instruction=instruction))
-        self.status.set_value("inference_ms", (time.monotonic() - started_s) * 1e3)
+        took_s = time.monotonic() - started_s
+        self.status.set_value("inference_ms", took_s * 1e3)
+        self._longest_s = max(self._longest_s, took_s)
+        self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * self._longest_s, 2.0 * chunk.step_s)
+        self._worker.progress()
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
         if not self._turn.is_shadow(self._inputs.captured_ns(observation)):
@@ -207,6 +216,8 @@ class InferenceModule(Module):
             return
         self.status.set_value(StatusKey.NOTE, "in shadow")
         self.status.set_value("shadow_action", ",".join(f"{value:.5g}" for value in chunk.actions[0]))
+        self._shadow_count += 1
+        self.status.set_value("shadow_count", self._shadow_count)
         self._note_first(observation)
 
     def _note_first(self, observation: Observation) -> None:
@@ -216,6 +227,13 @@ class InferenceModule(Module):
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()
+
+    def _note_turn(self) -> None:
+        """Tell when the first action of all goes out: by that a change-over is confirmed and measured."""
+        if not self._has_acted:
+            self._has_acted = True
+            self.status.set_value("first_action_ns", time.time_ns())
+            self.status.changed.set()
 
     def _play(self, chunk: ActionChunk, observation: Observation, count: int, stop: threading.Event) -> None:
         """Publish one action per `step_s`; a new instruction, a successor or the end of activity cuts the chunk."""
@@ -230,7 +248,9 @@ class InferenceModule(Module):
                 return
             if self._turn.must_fall_silent(int(self.node.get_clock().now().nanoseconds)):
                 return
+            self._note_turn()
             self._publisher.publish(to_action_message(vector))
+            self._worker.progress()
             self.status.output.tick()
             self._instruction.note_action()
             if index == 0:

@@ -14,7 +14,7 @@ from roboneuron.contract import JointCommand, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.worker import Worker
+from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import commands_from_trajectory, joints_from_message, to_joint_state
@@ -167,6 +167,8 @@ class RobotModule(Module):
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
         self.status.set_value("note", "moving")
+        self._player.limit_s = sent.duration_s + LIMIT_S
+        self._player.progress()
         with self._arrived:
             if plan:
                 self._arrived.wait_for(lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s)

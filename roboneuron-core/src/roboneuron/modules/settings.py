@@ -20,6 +20,7 @@ class ModuleSettings(BaseModel):
         node_name: name of its ROS node under the robot's namespace; the kind unless several run side by side.
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
+        shadow: of inference: predict on live images without acting until its turn comes, see `roboneuron.modules.turn`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -28,6 +29,7 @@ class ModuleSettings(BaseModel):
     node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     config: Config
     state_directory: str
+    shadow: bool = False
 
     @property
     def status_name(self) -> str:
@@ -41,6 +43,8 @@ class StatusKey:
     READY is "true" once the module has proved that it works: robot and perception have published a first state or
     image, control has received a first joint state and published `ee_pose`, inference has received every input it needs
     and, when it has an instruction, published a first action. Until then WAITING_FOR names what is missing.
+    WORK_AGE_S is the time since the module's threads last got on (the slowest of them counts), WORK_LIMIT_S what that
+    may be.
     ERROR_* describe the newest failure and are empty again once the module works; ERROR_COUNT never goes down.
     """
 
@@ -53,6 +57,8 @@ class StatusKey:
     ERROR_COUNT = "error_count"
     UPTIME_S = "uptime_s"
     LOOP_AGE_S = "loop_age_s"
+    WORK_AGE_S = "work_age_s"
+    WORK_LIMIT_S = "work_limit_s"
     RATE_HZ = "rate_hz"
     LATENCY_MS = "latency_ms"
     LATENCY_P99_MS = "latency_p99_ms"
@@ -72,3 +78,12 @@ EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False releases."""
 STATUS_PERIOD_S = 0.2
 """Every module reports on /diagnostics at least this often, and at once after a change."""
+ACT_FROM = "act_from_ns"
+"""ROS parameter: images captured before this ROS time [ns] are only predicted on. 0: none."""
+ACT_UNTIL = "act_until_ns"
+"""ROS parameter: images captured at or after this ROS time [ns] are left to the successor. 0: none."""
+PLAY_UNTIL = "play_until_ns"
+"""ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
+TURN_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)
+NEVER_NS = 2**62
+"""As ACT_FROM: in shadow until told otherwise."""

@@ -40,6 +40,7 @@ class ModuleStatus:
         self._error: RoboNeuronError | None = None
         self._error_count = 0
         self._values: dict[str, str] = {}
+        self._work: dict[str, tuple[float, float]] = {}
 
     def set_state(self, state: str) -> None:
         """Lifecycle state's label; leaving "active" ends readiness."""
@@ -94,6 +95,16 @@ class ModuleStatus:
         with self._lock:
             self._values.update({f"detail.{key}": text for key, text in details.items()})
 
+    def tick_work(self, worker: str, limit_s: float) -> None:
+        """A thread gets on; it is stalled when it does not say so again within `limit_s`."""
+        with self._lock:
+            self._work[worker] = (self.clock(), limit_s)
+
+    def end_work(self, worker: str) -> None:
+        """A thread has ended."""
+        with self._lock:
+            self._work.pop(worker, None)
+
     def tick_loop(self) -> None:
         """The executor turned."""
         self._loop_s = self.clock()
@@ -113,7 +124,11 @@ class ModuleStatus:
                 **self._values,
             }
             state = self._state
+            work = list(self._work.values())
         now_s = self.clock()
+        if work:
+            ticked_s, limit_s = max(work, key=lambda tick: (now_s - tick[0]) / tick[1])
+            values[StatusKey.WORK_AGE_S], values[StatusKey.WORK_LIMIT_S] = f"{now_s - ticked_s:.3f}", f"{limit_s:.3f}"
         values[StatusKey.UPTIME_S] = f"{now_s - self._started_s:.1f}"
         values[StatusKey.LOOP_AGE_S] = f"{now_s - self._loop_s:.3f}"
         values[StatusKey.RATE_HZ] = f"{self.output.rate_hz():.2f}"

@@ -11,15 +11,7 @@ from collections.abc import Sequence
 
 from rclpy.parameter import Parameter
 
-ACT_FROM = "act_from_ns"
-"""ROS parameter: images captured before this ROS time [ns] are only predicted on. 0: none."""
-ACT_UNTIL = "act_until_ns"
-"""ROS parameter: images captured at or after this ROS time [ns] are left to the successor. 0: none."""
-PLAY_UNTIL = "play_until_ns"
-"""ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
-TURN_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)
-NEVER_NS = 2**62
-"""As ACT_FROM: in shadow until told otherwise."""
+from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, PLAY_UNTIL, TURN_PARAMETERS
 
 
 class Turn:

@@ -10,6 +10,8 @@ from roboneuron.errors import InternalError, RoboNeuronError
 from roboneuron.modules.status import ModuleStatus
 
 _RETRY_S = 0.05
+LIMIT_S = 0.4
+"""A step that takes longer than this makes the module count as stalled, unless it says otherwise."""
 log = logging.getLogger(__name__)
 
 
@@ -17,15 +19,30 @@ class Worker:
     """Runs `step` over and over on one thread between `start` and `stop`.
 
     A failing step is reported and tried again after 50 ms; `step` gets the event that ends the loop and should wait on
-    nothing longer than a fraction of a second.
+    nothing longer than a fraction of a second, or call `progress` in between.
+
+    Attributes:
+        limit_s: time between two signs of progress after which the module counts as stalled.
     """
 
-    def __init__(self, name: str, step: Callable[[threading.Event], None], status: ModuleStatus) -> None:
+    def __init__(
+        self,
+        name: str,
+        step: Callable[[threading.Event], None],
+        status: ModuleStatus,
+        *,
+        limit_s: float = LIMIT_S,
+    ) -> None:
         self._name = name
         self._step = step
         self._status = status
+        self.limit_s = limit_s
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+
+    def progress(self) -> None:
+        """The step gets on."""
+        self._status.tick_work(self._name, self.limit_s)
 
     def start(self) -> None:
         """Start the thread; it must not be running."""
@@ -43,7 +60,14 @@ class Worker:
         return not thread.is_alive()
 
     def _run(self, stop: threading.Event) -> None:
+        try:
+            self._repeat(stop)
+        finally:
+            self._status.end_work(self._name)
+
+    def _repeat(self, stop: threading.Event) -> None:
         while not stop.is_set():
+            self.progress()
             try:
                 self._step(stop)
             except RoboNeuronError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
@@ -21,7 +23,10 @@ from roboneuron.server.selection import (
     select_perception,
     select_robot,
 )
+from roboneuron.server.stream import ActionStream
+from roboneuron.server.switching import Change, WarmSwitch, measure_gap
 from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.supervisor import Stage, Supervisor
 from roboneuron.supervisor.view import ModuleView, Stopped
 
@@ -30,6 +35,25 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _PARAMETER_S = 5.0
+SwitchMode = Literal["warm", "cold"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Switched:
+    """A backend that took the place of another.
+
+    Attributes:
+        view: the new one.
+        replaced: what was chosen for the old one.
+        change: what the change-over did to the actions.
+        took_s: the whole call, loading included.
+    """
+
+    view: ModuleView
+    replaced: dict[str, str]
+    mode: SwitchMode
+    change: Change
+    took_s: float
 
 
 class ClosedLoop:
@@ -40,6 +64,9 @@ class ClosedLoop:
         self.plugins = plugins
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
+        self._before: Selection | None = None
+        self._streams: dict[str, ActionStream] = {}
+        self._lock = threading.Lock()
 
     @property
     def config(self) -> Config:
@@ -89,36 +116,81 @@ class ClosedLoop:
         self._check_may_move(selection)
         return self._start("inference", selection, on_stage)
 
-    def switch_inference(self, request: InferenceRequest, on_stage: Stage) -> tuple[ModuleView, dict[str, str], float]:
-        """Replace the running backend; returns the new one, what ran before, and the gap in seconds.
+    def switch_inference(self, request: InferenceRequest, mode: SwitchMode, on_stage: Stage) -> Switched:
+        """Replace the running backend.
 
         The instruction is kept unless a new one is given. What can be refused beforehand is refused while the old one
-        still works.
+        still works; a warm switch that fails at any time leaves the old one at work.
         """
         old = self.supervisor.require_running("inference")
         if request.instruction is None and old.report is not None and old.report.instruction:
-            request = InferenceRequest(
-                backend=request.backend,
-                checkpoint=request.checkpoint,
-                runtime=request.runtime,
-                acceleration=request.acceleration,
-                instruction=old.report.instruction,
-                cameras=request.cameras,
-                options=request.options,
-            )
+            request = replace(request, instruction=old.report.instruction)
         selection = self._select_inference(request)
         self._check_may_move(selection)
-        replaced = dict(old.choice.names) if old.choice is not None else {}
-        on_stage("inference: stopping the old backend")
+        return self._replace(old, selection, mode, on_stage)
+
+    def roll_back_inference(self, mode: SwitchMode, on_stage: Stage) -> Switched:
+        """Replace the running backend by the one before the last switch, with the present instruction.
+
+        Raises:
+            StateError: there was no switch.
+        """
+        old = self.supervisor.require_running("inference")
+        selection = self._before
+        if selection is None:
+            raise StateError("There is no backend to go back to: none was replaced yet.")
+        section = selection.config.inference
+        assert section is not None
+        instruction = old.report.instruction if old.report is not None else section.instruction
+        section = section.model_copy(update={"instruction": instruction})
+        selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
+        self._check_may_move(selection)
+        return self._replace(old, selection, mode, on_stage)
+
+    def _replace(self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage) -> Switched:
+        assert old.choice is not None
         started_s = time.monotonic()
+        replaced = Selection(
+            config=old.choice.settings.config, names=old.choice.names, python=self._python_of(old), cameras={}
+        )
+        if mode == "warm":
+            stream = self.stream(selection.config.namespace)
+            change = WarmSwitch(self.supervisor, selection, stream, on_stage).run()
+        else:
+            change = self._switch_cold(replaced, selection, on_stage)
+        self._before = replaced
+        return Switched(
+            view=self.supervisor.view("inference"),
+            replaced=dict(replaced.names),
+            mode=mode,
+            change=change,
+            took_s=time.monotonic() - started_s,
+        )
+
+    def _switch_cold(self, replaced: Selection, selection: Selection, on_stage: Stage) -> Change:
+        """Stop the old one, then start the new one: for a machine without memory for two."""
+        on_stage("inference: stopping the old backend")
         self.supervisor.stop("inference")
         try:
             view = self._start("inference", selection, on_stage)
         except RoboNeuronError as error:
-            before = ", ".join(f"{key} {name!r}" for key, name in replaced.items())
+            before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
             error.hint = f"{error.hint} No backend is running now; before there was {before}.".strip()
             raise
-        return view, replaced, time.monotonic() - started_s
+        stream = self.stream(selection.config.namespace)
+        return Change(gap=measure_gap(self.supervisor, stream, view.report), difference=None)
+
+    @staticmethod
+    def _python_of(view: ModuleView) -> str | None:
+        section = view.choice.settings.config.inference if view.choice is not None else None
+        return section.python if section is not None else None
+
+    def stream(self, namespace: str) -> ActionStream:
+        """What is sent on a robot's action topic since a backend was first started for it."""
+        with self._lock:
+            if namespace not in self._streams:
+                self._streams[namespace] = ActionStream(self.supervisor.link, namespace)
+            return self._streams[namespace]
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
@@ -149,7 +221,13 @@ class ClosedLoop:
         count = before.instruction_count if before is not None else 0
         errors = before.error_count if before is not None else 0
         started_s = time.monotonic()
-        self._set_parameter(view, text)
+        assert view.choice is not None
+        parameters = ParameterClient(
+            self.supervisor.link, self.supervisor.changes, f"/{view.choice.settings.status_name}"
+        )
+        refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
+        if refused:
+            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
 
         def settled() -> Report | None:
             report = self.supervisor.require_running("inference").report
@@ -207,6 +285,8 @@ class ClosedLoop:
 
     def _start(self, kind: ModuleKind, selection: Selection, on_stage: Stage) -> ModuleView:
         self.emergency_stop.prepare(selection.config.namespace)
+        if kind == "inference":
+            self.stream(selection.config.namespace)
         return self.supervisor.start(
             kind, selection.config, python=selection.python, names=selection.names, on_stage=on_stage
         )
@@ -217,25 +297,3 @@ class ClosedLoop:
             "inference": self.base.inference,
             "control": self.base.control,
         }
-
-    def _set_parameter(self, view: ModuleView, text: str) -> None:
-        from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # heavy
-        from rcl_interfaces.srv import SetParameters  # heavy
-
-        assert view.choice is not None
-        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
-        request = SetParameters.Request(parameters=[Parameter(name=INSTRUCTION_PARAMETER, value=value)])
-        name = f"/{view.choice.settings.status_name}/set_parameters"
-        link, changes = self.supervisor.link, self.supervisor.changes
-        if not changes.wait_for(lambda: link.is_service_ready(SetParameters, name), _PARAMETER_S):
-            raise NotReadyError(f"The service {name} was not found within {_PARAMETER_S:g} s.")
-        call = link.call(SetParameters, name, request, changes.notify)
-        if not changes.wait_for(lambda: call.done, _PARAMETER_S):
-            call.abandon()
-            raise NotReadyError(
-                f"The inference module did not take the instruction within {_PARAMETER_S:g} s.",
-                hint="It may hang: see loop_age_s in get_status.",
-            )
-        result = call.response.results[0]
-        if not result.successful:
-            raise InvalidInputError(f"The backend refused the instruction: {result.reason}.", path="instruction")

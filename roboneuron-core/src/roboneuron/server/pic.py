@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.loop import ClosedLoop, Switched
 from roboneuron.server.results import (
     InstructionResult,
     StartResult,
@@ -90,6 +90,30 @@ class StartInference(Arguments):
         return InferenceRequest(**{name: getattr(self, name) for name in type(self).model_fields})
 
 
+class SwitchInference(StartInference):
+    """Arguments of switch_inference."""
+
+    mode: Literal["warm", "cold"] = Field(
+        default="warm",
+        description="warm: the new backend is loaded beside the old one and takes over between two actions; cold: the "
+        "old one is stopped first, for a machine without memory for two.",
+    )
+    rollback: bool = Field(
+        default=False, description="Go back to the backend before the last switch; nothing else may be named then."
+    )
+
+    @model_validator(mode="after")
+    def _check_rollback(self) -> SwitchInference:
+        others = sorted(self.model_fields_set - {"mode", "rollback"})
+        if self.rollback and others:
+            raise ValueError(f"with rollback nothing else may be named, got {', '.join(others)}")
+        return self
+
+    def to_request(self) -> InferenceRequest:
+        """The same, as `ClosedLoop` takes it."""
+        return InferenceRequest(**{name: getattr(self, name) for name in StartInference.model_fields})
+
+
 class SetInstruction(Arguments):
     """Arguments of set_instruction."""
 
@@ -122,6 +146,21 @@ def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
 
 def _started(view: ModuleView, started_s: float) -> StartResult:
     return StartResult(module=module_status(view), took_s=round(time.monotonic() - started_s, 3))
+
+
+def switch_result(switched: Switched) -> SwitchResult:
+    """How a switch went, as the agent reads it."""
+    change, gap = switched.change, switched.change.gap
+    return SwitchResult(
+        module=module_status(switched.view),
+        replaced=switched.replaced,
+        mode=switched.mode,
+        gap_s=round(gap.gap_s, 4) if gap is not None else None,
+        period_s=round(gap.period_s, 4) if gap is not None else None,
+        missed_actions=gap.missed if gap is not None else None,
+        difference=round(change.difference, 4) if change.difference is not None else None,
+        took_s=round(switched.took_s, 3),
+    )
 
 
 def _start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
@@ -207,12 +246,14 @@ def _steering_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         report, took_s = await context.run(lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s))
         return InstructionResult(instruction=report.instruction, took_s=round(took_s, 3), note=report.note)
 
-    async def switch_inference(arguments: StartInference, context: CallContext) -> SwitchResult:
-        view, replaced, gap_s = await context.run(
-            lambda stage: loop.switch_inference(arguments.to_request(), stage),
-            on_cancel=lambda: loop.cancel("inference"),
-        )
-        return SwitchResult(module=module_status(view), replaced=replaced, gap_s=round(gap_s, 3))
+    async def switch_inference(arguments: SwitchInference, context: CallContext) -> SwitchResult:
+        def work(stage: Stage) -> Switched:
+            if arguments.rollback:
+                return loop.roll_back_inference(arguments.mode, stage)
+            return loop.switch_inference(arguments.to_request(), arguments.mode, stage)
+
+        switched = await context.run(work, on_cancel=lambda: loop.cancel("inference"))
+        return switch_result(switched)
 
     return [
         Tool(
@@ -232,11 +273,12 @@ def _steering_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             name="switch_inference",
             title="Replace the policy",
             description=(
-                "Replace the running backend by another one on the same topics; the arm holds meanwhile. What does not "
-                "fit is refused beforehand and the old backend goes on. The instruction is kept unless a new one is "
-                "given."
+                "Replace the running backend by another one on the same topics. Warm, the new one is loaded and tried "
+                "in shadow while the old one works, then takes over between two actions; if it fails, or wants "
+                "something wildly different, the old one goes on and the error says why. Cold, the arm holds meanwhile "
+                "and a failure leaves no backend. The instruction is kept unless a new one is given."
             ),
-            arguments=StartInference,
+            arguments=SwitchInference,
             result=SwitchResult,
             handler=switch_inference,
             destructive=True,

@@ -97,7 +97,18 @@ class SwitchResult(Result):
 
     module: ModuleStatus
     replaced: dict[str, str] = Field(description="what ran before")
-    gap_s: float = Field(description="time without a running backend")
+    mode: Literal["warm", "cold"]
+    gap_s: float | None = Field(
+        default=None,
+        description="from the last action of the old backend to the first of the new one, by the times at which they "
+        "were sent; none when one of them did not act",
+    )
+    period_s: float | None = Field(default=None, description="time between the old backend's actions")
+    missed_actions: int | None = Field(default=None, description="actions left out in the old backend's rhythm")
+    difference: float | None = Field(
+        default=None, description="how far the new actions lay from the old ones in shadow [m or rad]"
+    )
+    took_s: float = Field(description="the whole call, loading included")
 
 
 class InstructionResult(Result):

@@ -44,6 +44,8 @@ class Report:
     error_count: int = 0
     uptime_s: float | None = None
     loop_age_s: float | None = None
+    work_age_s: float | None = None
+    work_limit_s: float | None = None
     rate_hz: float | None = None
     latency_ms: float | None = None
     latency_p99_ms: float | None = None
@@ -102,6 +104,8 @@ def parse_report(values: Mapping[str, str], *, received_s: float) -> Report:
         error_count=_count(values.get(StatusKey.ERROR_COUNT)),
         uptime_s=_number(values.get(StatusKey.UPTIME_S)),
         loop_age_s=_number(values.get(StatusKey.LOOP_AGE_S)),
+        work_age_s=_number(values.get(StatusKey.WORK_AGE_S)),
+        work_limit_s=_number(values.get(StatusKey.WORK_LIMIT_S)),
         rate_hz=_number(values.get(StatusKey.RATE_HZ)),
         latency_ms=_number(values.get(StatusKey.LATENCY_MS)),
         latency_p99_ms=_number(values.get(StatusKey.LATENCY_P99_MS)),

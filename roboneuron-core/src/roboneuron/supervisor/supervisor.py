@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError
+from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.ros.environment import module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.health import StatusBoard
-from roboneuron.supervisor.lifecycle import LifecycleClient
+from roboneuron.supervisor.ending import KILL_S, deactivate, end_processes
+from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.logs import run_directory
 from roboneuron.supervisor.process import ModuleProcess, Spawner
 from roboneuron.supervisor.slot import Choice, Phase, Slot
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
 log = logging.getLogger(__name__)
-_DEACTIVATE_S = 2.0
-_KILL_S = 5.0
-"""After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
 Stage = Callable[[str], None]
 
 
@@ -44,7 +41,7 @@ def _ignore(_: str) -> None:
 
 
 class Supervisor:
-    """At most one process of each kind.
+    """At most one process of each kind, and a second one while it is being replaced.
 
     Args:
         state_directory: logs go to its `log` folder, and modules are told it.
@@ -68,6 +65,7 @@ class Supervisor:
         self._connection = Connection(self._board.receive, self.log_directory)
         self._spawner = Spawner()
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
+        self._beside: list[Slot] = []
         self._order = count(1)
         self._closed = False
 
@@ -103,28 +101,91 @@ class Supervisor:
             NotReadyError: it died, or something is missing; the message names it.
             RoboNeuronError: what the module itself says is wrong.
         """
-        settings = ModuleSettings(kind=kind, node_name=kind, config=config, state_directory=str(self.state_directory))
         slot = self._slots[kind]
         with self.changes.lock:
-            if self._closed:
-                raise StateError("The server is shutting down.")
+            self._check_open()
+            settings = self._settings(kind, kind, config)
             slot.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
-        deadline_s = time.monotonic() + config.supervisor.start_timeout_s
-        phase: Phase = "stopped"
-        try:
-            slot.process = self._spawn(settings, python)
-            bringup = Bringup(slot, slot.process, settings, self.link, self._board, self.changes, on_stage)
-            bringup.run(deadline_s)
-            phase = "running"
-        finally:
-            if phase != "running" and slot.process is not None:
-                self._end([slot.process], config.supervisor.stop_timeout_s)
-                self._board.forget(settings.status_name, slot.process.pid)
-            slot.settle(phase)
-            if slot.process is not None and slot.process.exit_code is not None:
-                self._on_exit(slot, settings, slot.process)  # it died between its proof and here
-            self._on_change(kind)
+        self._bring_up(slot, settings, python, on_stage)
         return self.view(kind)
+
+    def start_standby(
+        self,
+        kind: ModuleKind,
+        config: Config,
+        *,
+        python: str | None = None,
+        names: Mapping[str, str] | None = None,
+        on_stage: Stage = _ignore,
+    ) -> Slot:
+        """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
+
+        Raises:
+            StateError: nothing of that kind runs, or there is a standby already.
+            RoboNeuronError: as `start`.
+        """
+        standby = Slot(kind, self.changes)
+        with self.changes.lock:
+            self._check_open()
+            active = self._slots[kind]
+            if active.phase != "running" or active.choice is None:
+                raise StateError(f"{kind} is not running (it is {active.phase}).", hint=f"Call start_{kind} first.")
+            if any(other.kind == kind for other in self._beside):
+                raise StateError(f"{kind} is already being replaced.", hint="Wait for the end of that call.")
+            name = kind if active.choice.settings.node_name != kind else f"{kind}_b"
+            settings = self._settings(kind, name, config, shadow=True)
+            standby.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
+            self._beside.append(standby)
+        try:
+            self._bring_up(standby, settings, python, on_stage)
+        except BaseException:
+            self._forget_beside(standby)
+            raise
+        return standby
+
+    def adopt(self, standby: Slot) -> Slot:
+        """Make the standby the module of its kind; returns the old one, which is to be discarded.
+
+        Raises:
+            StateError: the old one is being stopped, or the standby is gone.
+        """
+        with self.changes.lock:
+            old = self._slots[standby.kind]
+            if old.phase != "running":
+                raise StateError(f"{standby.kind} is {old.phase} now; nothing was replaced.")
+            if standby.phase != "running":
+                raise StateError(f"The new {standby.kind} is gone: {standby.explain_exit()}")
+            self._slots[standby.kind] = standby
+            self._beside[self._beside.index(standby)] = old
+        self._on_change(standby.kind)
+        return old
+
+    def discard(self, slot: Slot) -> Stopped | None:
+        """End a standby or a replaced module; None when its process was gone already."""
+        try:
+            process = slot.begin_stop()
+            return self._finish([(slot, process)])[0]
+        except StateError:
+            return None
+        finally:
+            self._forget_beside(slot)
+
+    def slot(self, kind: ModuleKind) -> Slot:
+        """The slot of the module that works now; another one after `adopt`."""
+        with self.changes.lock:
+            return self._slots[kind]
+
+    def beside(self, kind: ModuleKind) -> list[Slot]:
+        """A module that is about to take over, or has been replaced and is leaving."""
+        with self.changes.lock:
+            return [slot for slot in self._beside if slot.kind == kind]
+
+    def report_of(self, slot: Slot) -> Report | None:
+        """The newest report of a module, standby or not."""
+        process, choice = slot.process, slot.choice
+        if process is None or choice is None:
+            return None
+        return self._board.newest(choice.settings.status_name, process.pid)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
@@ -133,6 +194,7 @@ class Supervisor:
             StateError: it is not running.
         """
         slot = self._slots[kind]
+        self._cancel_beside(kind, f"stop_{kind} was called.")
         if slot.cancel(f"stop_{kind} was called."):
             self._await_settled(slot)
             if slot.phase != "running":
@@ -142,15 +204,17 @@ class Supervisor:
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one."""
-        return self._slots[kind].cancel(reason)
+        return self._cancel_beside(kind, reason) or self._slots[kind].cancel(reason)
 
     def stop_all(self) -> list[Stopped]:
         """Stop everything in the reverse order of starting; never raises for what is not running."""
-        for slot in self._slots.values():
+        with self.changes.lock:
+            slots = [*self._slots.values(), *self._beside]
+        for slot in slots:
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
         claimed: list[tuple[Slot, ModuleProcess]] = []
-        for slot in sorted(self._slots.values(), key=lambda s: -s.order):
+        for slot in sorted(slots, key=lambda s: -s.order):
             try:
                 claimed.append((slot, slot.begin_stop()))
             except StateError:
@@ -159,11 +223,9 @@ class Supervisor:
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now."""
-        slot = self._slots[kind]
         with self.changes.lock:
-            report = None
-            if slot.process is not None and slot.choice is not None:
-                report = self._board.newest(slot.choice.settings.status_name, slot.process.pid)
+            slot = self._slots[kind]
+            report = self.report_of(slot)
             return ModuleView(
                 kind=kind,
                 phase=slot.phase,
@@ -191,8 +253,9 @@ class Supervisor:
         return view
 
     def log_path(self, kind: ModuleKind) -> Path:
-        """Where a module of this server logs."""
-        return self.log_directory / f"{kind}.log"
+        """Where the present module of that kind logs."""
+        choice = self._slots[kind].choice
+        return self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
 
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent."""
@@ -202,24 +265,62 @@ class Supervisor:
         self._connection.close()
         self._spawner.close()
 
-    def _spawn(self, settings: ModuleSettings, python: str | None) -> ModuleProcess:
+    def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
+        return ModuleSettings(
+            kind=kind, node_name=name, config=config, state_directory=str(self.state_directory), shadow=shadow
+        )
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise StateError("The server is shutting down.")
+
+    def _cancel_beside(self, kind: ModuleKind, reason: str) -> bool:
+        with self.changes.lock:
+            cancelled = [slot.cancel(reason) for slot in self._beside if slot.kind == kind]
+        return any(cancelled)
+
+    def _forget_beside(self, slot: Slot) -> None:
+        with self.changes.lock:
+            if slot in self._beside:
+                self._beside.remove(slot)
+
+    def _bring_up(self, slot: Slot, settings: ModuleSettings, python: str | None, on_stage: Stage) -> None:
+        """Spawn, configure, activate and wait for readiness; a failure ends the process."""
+        supervision = settings.config.supervisor
+        deadline_s = time.monotonic() + supervision.start_timeout_s
+        phase: Phase = "stopped"
+        try:
+            slot.process = self._spawn(slot, settings, python)
+            bringup = Bringup(slot, slot.process, settings, self.link, self._board, self.changes, on_stage)
+            bringup.run(deadline_s)
+            self._connection.segments.add(slot.process.note_segments())
+            phase = "running"
+        finally:
+            if phase != "running" and slot.process is not None:
+                end_processes([slot.process], supervision.stop_timeout_s)
+                self._board.forget(settings.status_name, slot.process.pid)
+            slot.settle(phase)
+            if slot.process is not None and slot.process.exit_code is not None:
+                self._on_exit(slot, settings, slot.process)  # it died between its proof and here
+            self._on_change(slot.kind)
+
+    def _spawn(self, slot: Slot, settings: ModuleSettings, python: str | None) -> ModuleProcess:
         command = self._command(python)
         try:
             process = self._spawner.spawn(
-                settings.kind,
+                settings.node_name,
                 command,
                 module_environment(python),
                 settings.model_dump_json(),
-                self.log_path(settings.kind),
+                self.log_directory / f"{settings.node_name}.log",
             )
         except OSError as error:
             raise ConfigurationError(
                 f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
                 hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
             ) from error
-        log.info("Spawned %s: pid %d.", settings.kind, process.pid)
+        log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
         self._board.watch(settings.status_name, process.pid)
-        slot = self._slots[settings.kind]
         process.reap(lambda ended: self._on_exit(slot, settings, ended))
         return process
 
@@ -237,8 +338,8 @@ class Supervisor:
         for (slot, _), choice in zip(claimed, choices, strict=True):
             if choice is not None:
                 timeout_s = max(timeout_s, choice.settings.config.supervisor.stop_timeout_s)
-                self._deactivate(slot, choice.settings)
-        killed = self._end([process for _, process in claimed], timeout_s)
+                deactivate(self.link, self.changes, slot, choice.settings)
+        killed = end_processes([process for _, process in claimed], timeout_s)
         results = []
         for (slot, process), choice in zip(claimed, choices, strict=True):
             if choice is not None:
@@ -257,35 +358,7 @@ class Supervisor:
             self._on_change(slot.kind)
         return results
 
-    def _deactivate(self, slot: Slot, settings: ModuleSettings) -> None:
-        """Ask for silence; what does not answer is ended anyway."""
-        node = f"/{settings.status_name}"
-        limit_s = min(_DEACTIVATE_S, settings.config.supervisor.stop_timeout_s / 2)
-        client = LifecycleClient(self.link, node, self.changes, lambda: slot.check_alive("being deactivated"))
-        try:
-            if client.transition("deactivate", limit_s) is None:
-                log.warning("%s did not answer `deactivate` within %.1f s.", slot.kind, limit_s)
-        except RoboNeuronError as error:
-            log.warning("Deactivating %s: %s", slot.kind, error)
-
-    def _end(self, processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
-        """SIGTERM, bounded wait, SIGKILL, reap; returns the pids that had to be killed."""
-        for process in processes:
-            process.note_segments()
-            process.terminate()
-        deadline_s = time.monotonic() + timeout_s
-        killed = set()
-        for process in processes:
-            if not process.wait(max(0.0, deadline_s - time.monotonic())):
-                log.warning("%s (pid %d) did not leave within %g s: killed.", process.name, process.pid, timeout_s)
-                process.kill()
-                killed.add(process.pid)
-        for process in processes:
-            if not process.wait(_KILL_S):
-                raise NotReadyError(f"{process.name} (pid {process.pid}) survives SIGKILL: it hangs in the kernel.")
-        return killed
-
     def _await_settled(self, slot: Slot) -> None:
         config = slot.choice.settings.config.supervisor if slot.choice is not None else None
-        bound_s = (config.stop_timeout_s if config else 0.0) + _KILL_S + 1.0
+        bound_s = (config.stop_timeout_s if config else 0.0) + KILL_S + 1.0
         self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

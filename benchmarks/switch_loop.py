@@ -1,0 +1,143 @@
+"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the action topic."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roboneuron.config import parse_config
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.selection import InferenceRequest
+from roboneuron.supervisor.supervisor import Supervisor
+
+HERE = Path(__file__).parent
+CONFIG = """
+[robot]
+name = "gantry"
+[perception]
+source = "numbering"
+cameras = ["front"]
+[inference]
+backend = "first"
+[control]
+controller = "gantry"
+[supervisor]
+start_timeout_s = 40.0
+stop_timeout_s = 3.0
+[plugins.numbering]
+rate_hz = {rate_hz}
+[plugins.first]
+tag = 1
+[plugins.second]
+tag = 2
+"""
+
+
+def quiet(_: str) -> None:
+    """Nobody wants to know how far a call has come."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sent:
+    """One action: when it was sent (DDS source time), for which image, by which backend, moving how far along x."""
+
+    at_ns: int
+    image: int
+    tag: int
+    x_m: float
+
+
+class Witness:
+    """Keeps every action and joint command of one loop."""
+
+    def __init__(self, supervisor: Supervisor, namespace: str) -> None:
+        from rclpy.qos import QoSProfile
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        self._lock = threading.Lock()
+        self._actions: list[Sent] = []
+        self._commands: list[tuple[int, float, float]] = []
+        link = supervisor.link
+
+        def on_action(message: Any, info: dict[str, Any]) -> None:
+            values = message.data
+            sent = Sent(
+                at_ns=int(info["source_timestamp"]),
+                image=round(values[4] * 1e9),
+                tag=round(values[5] * 1e9),
+                x_m=float(values[0]),
+            )
+            with self._lock:
+                self._actions.append(sent)
+
+        def on_command(message: Any, info: dict[str, Any]) -> None:
+            point = message.points[0]
+            duration_s = point.time_from_start.sec + point.time_from_start.nanosec / 1e9
+            with self._lock:
+                self._commands.append((int(info["source_timestamp"]), float(point.positions[0]), duration_s))
+
+        qos = QoSProfile(depth=200)
+        node = link.node
+        link.on_executor(lambda: node.create_subscription(Float64MultiArray, f"/{namespace}/action", on_action, qos))
+        link.on_executor(
+            lambda: node.create_subscription(JointTrajectory, f"/{namespace}/joint_trajectory", on_command, qos)
+        )
+
+    def actions(self) -> list[Sent]:
+        """All actions so far."""
+        with self._lock:
+            return list(self._actions)
+
+    def commands(self) -> list[tuple[int, float, float]]:
+        """All joint commands so far: source time [ns], target of the first joint [m], duration [s]."""
+        with self._lock:
+            return list(self._commands)
+
+
+def install(site: Path) -> None:
+    """Make `switch_plugin` an installed plugin of this process and its children."""
+    info = site / "rn_switch-1.0.dist-info"
+    info.mkdir(parents=True)
+    shutil.copy(HERE / "switch_plugin.py", site)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-switch\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\nrn-switch = switch_plugin\n")
+
+
+@contextmanager
+def moving_loop(scratch: Path, rate_hz: float, more: str = "") -> Iterator[tuple[ClosedLoop, Witness]]:
+    """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end."""
+    if not (scratch / "site").exists():
+        install(scratch / "site")
+    site = str(scratch / "site")
+    before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
+    os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (site, before["PYTHONPATH"] or "") if p)
+    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_LOG_DIR"] = str(scratch / "ros")
+    sys.path.insert(0, site)
+    config = parse_config(CONFIG.format(rate_hz=rate_hz) + more)
+    supervisor = Supervisor(scratch / "state")
+    try:
+        loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+        witness = Witness(supervisor, config.namespace)
+        loop.start_robot(None, None, {}, quiet)
+        loop.start_perception(None, (), {}, quiet)
+        loop.start_control(None, {}, quiet)
+        loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+        yield loop, witness
+    finally:
+        supervisor.close()
+        sys.path.remove(site)
+        for key, value in before.items():
+            os.environ.pop(key, None)
+            if value is not None:
+                os.environ[key] = value

@@ -1,0 +1,157 @@
+"""The plugin that change-overs are judged with: a camera that numbers its images, and backends that name them.
+
+The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians, and its `rz` says
+in nano-radians which backend acted; the motion along x is a slow sine of the images' time, the same for each backend.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, PerceptionSpec, RobotSpec
+
+if TYPE_CHECKING:
+    from roboneuron.contract import ActionChunk, CameraProfile, Frame, Observation, Topics
+
+PLUGIN = "switch_plugin"
+NANO = 1e-9
+PEAK_M = 0.002
+PERIOD_S = 8.0
+
+
+class CameraOptions(BaseModel):
+    """Options of the numbering camera."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate_hz: float = Field(default=10.0, gt=0, description="images per second")
+
+
+class BackendOptions(BaseModel):
+    """Options of the naming backend."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    tag: int = Field(default=1, description="who acted, in the actions")
+    offset_m: float = Field(default=0.0, description="added to the motion along x")
+    step_s: float = Field(default=0.01, gt=0, description="shortest time between two actions")
+    delay_s: float = Field(default=0.0, ge=0, description="time that a prediction takes")
+    hang_file: str = Field(default="", description="a prediction lasts for as long as this file exists")
+    fail_file: str = Field(default="", description="a prediction fails while this file exists")
+
+
+class NumberingCamera:
+    """Follows the protocol `PerceptionSource`; exactly on time, whatever the readers do."""
+
+    def __init__(self, config: CameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+        self._topics, self._camera = topics, cameras[0]
+        self._period_s = 1.0 / (config or CameraOptions()).rate_hz
+        self._number = 0
+
+    def open(self) -> None:
+        """The first image is due now."""
+        self._start_s = time.monotonic()
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next image."""
+        import numpy as np
+
+        from roboneuron.contract import Frame
+
+        self._number += 1
+        time.sleep(max(0.0, self._start_s + self._number * self._period_s - time.monotonic()))
+        image = np.zeros((self._camera.height, self._camera.width, 3), dtype=np.uint8)
+        image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
+        return Frame(
+            camera=self._camera.name, image=image, stamp_ns=self._topics.now_ns(), frame_id=self._camera.frame_id
+        )
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class NamingBackend:
+    """Follows the protocol `Backend`."""
+
+    def __init__(self, config: BackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+        self._options = config or BackendOptions()
+
+    def load(self) -> None:
+        """Nothing to load."""
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """A point of the sine at the image's time, with the image's number."""
+        import numpy as np
+
+        from roboneuron.contract import ActionChunk
+
+        options = self._options
+        while options.hang_file and Path(options.hang_file).exists():
+            time.sleep(0.01)
+        if options.fail_file and Path(options.fail_file).exists():
+            raise ValueError("the model fell over")
+        if options.delay_s:
+            time.sleep(options.delay_s)
+        frame = observation.frames["primary"]
+        number = int.from_bytes(frame.image[0].tobytes()[:4], "little")
+        x_m = PEAK_M * math.sin(2 * math.pi * frame.stamp_ns / 1e9 / PERIOD_S) + options.offset_m
+        action = np.array([[x_m, 0, 0, 0, number * NANO, options.tag * NANO, 1.0]])
+        return ActionChunk(actions=action, step_s=options.step_s)
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """One policy under several names."""
+    space = ActionSpace(step_s=0.01)
+    return [
+        BackendSpec(
+            name=name,
+            summary="Names the image that it acts on.",
+            target=f"{PLUGIN}:NamingBackend",
+            config=f"{PLUGIN}:BackendOptions",
+            action_space=space,
+        )
+        for name in ("first", "second")
+    ]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """The camera."""
+    return [
+        PerceptionSpec(
+            name="numbering",
+            summary="Numbers its images.",
+            target=f"{PLUGIN}:NumberingCamera",
+            config=f"{PLUGIN}:CameraOptions",
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_controllers() -> Sequence[ControllerSpec]:
+    """The fake gantry's."""
+    from roboneuron.testing.fakes.controller import FAKE_CONTROLLER
+
+    return [FAKE_CONTROLLER]
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    """The fake gantry."""
+    from roboneuron.testing.fakes.robot import FAKE_ROBOT
+
+    return [FAKE_ROBOT]

@@ -1,0 +1,146 @@
+"""A warm switch during motion: every image is acted on once, and what fails changes nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.selection import InferenceRequest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from switch_loop import Sent, Witness, moving_loop, quiet
+
+sys.path.pop(0)
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+
+
+def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not fact():
+        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
+        time.sleep(0.01)
+
+
+def more_actions(witness: Witness, count: int = 5) -> list[Sent]:
+    """Wait for `count` more actions; returns all."""
+    before = len(witness.actions())
+    wait_until(lambda: len(witness.actions()) >= before + count, 5.0, f"{count} more actions")
+    return witness.actions()
+
+
+def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:
+    """The last action of one backend and the first of the next."""
+    return [(a, b) for a, b in pairwise(actions) if a.tag != b.tag]
+
+
+@pytest.fixture(params=[10.0, 30.0], ids=["10Hz", "30Hz"])
+def rate_hz(request: pytest.FixtureRequest) -> float:
+    return float(request.param)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[tuple[ClosedLoop, Witness]]:
+    with moving_loop(tmp_path, 10.0) as made:
+        yield made
+
+
+def test_every_image_is_acted_on_once_while_backends_take_turns(tmp_path: Path, rate_hz: float) -> None:
+    with moving_loop(tmp_path, rate_hz) as (loop, witness):
+        for turn in range(2):
+            backend = ("second", "first")[turn % 2]
+            switched = loop.switch_inference(InferenceRequest(backend=backend), "warm", quiet)
+            assert switched.view.choice is not None
+            assert switched.view.choice.names["backend"] == backend
+            assert switched.view.report is not None
+            assert switched.view.report.instruction == "move on"
+            assert switched.change.gap is not None
+            assert switched.change.difference is not None
+            assert switched.change.difference < 0.01
+        actions = more_actions(witness)
+    changes = change_overs(actions)
+    assert [b.tag for _, b in changes] == [2, 1]
+    images = [action.image for action in actions]
+    assert images == sorted(set(images)), "an image was acted on twice"
+    # On a machine that is too busy for the rate, images are skipped all the time; a change-over must not add to that.
+    usual = max(b.image - a.image for a, b in pairwise(actions) if a.tag == b.tag)
+    assert max(b.image - a.image for a, b in changes) <= usual
+
+
+def refused(loop: ClosedLoop, error: type[RoboNeuronError], on_stage: Callable[[str], None], **options: object) -> str:
+    """Message of a warm switch to "second" that must fail and leave the present process at work."""
+    before = loop.supervisor.view("inference").process
+    with pytest.raises(error) as caught:
+        loop.switch_inference(InferenceRequest(backend="second", options=options), "warm", on_stage)
+    after = loop.supervisor.view("inference")
+    assert before is not None
+    assert after.process is before
+    assert after.phase == "running"
+    return str(caught.value)
+
+
+def test_what_fails_before_its_turn_changes_nothing(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
+    loop, witness = cell
+    text = refused(loop, RefusedError, quiet, offset_m=0.5)
+    assert "differ by 0.5" in text
+    assert "switch_max_difference" in text
+
+    def kill_new(stage: str) -> None:
+        if stage == "inference: changing over":
+            (new,) = [slot.process for slot in loop.supervisor.beside("inference")]
+            assert new is not None
+            os.kill(new.pid, signal.SIGKILL)
+
+    assert "signal 9" in refused(loop, NotReadyError, kill_new)
+
+    def cancel(stage: str) -> None:
+        if stage == "new inference: configuring":
+            loop.cancel("inference")
+
+    assert "cancelled" in refused(loop, StateError, cancel)
+    (tmp_path / "fail").touch()
+    assert "fell over" in refused(loop, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail"))
+    actions = more_actions(witness)
+    assert {action.tag for action in actions} == {1}
+    times = [action.at_ns for action in actions]
+    assert max(b - a for a, b in pairwise(times)) < 0.5e9
+    assert loop.supervisor.beside("inference") == []
+
+
+def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
+    loop, witness = cell
+    hang = tmp_path / "hang"
+
+    def hang_new(stage: str) -> None:
+        if stage == "inference: changing over":
+            hang.touch()
+
+    assert "the old one acts again" in refused(loop, NotReadyError, hang_new, hang_file=str(hang))
+    assert {action.tag for action in more_actions(witness)} == {1}
+
+
+def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[ClosedLoop, Witness]) -> None:
+    loop, witness = cell
+    with pytest.raises(StateError, match="none was replaced"):
+        loop.roll_back_inference("warm", quiet)
+    loop.set_instruction("move further", 5.0)
+    cold = loop.switch_inference(InferenceRequest(backend="second"), "cold", quiet)
+    assert cold.change.gap is not None
+    assert cold.change.gap.gap_s > 0.3
+    back = loop.roll_back_inference("warm", quiet)
+    assert back.change.gap is not None
+    assert back.change.gap.gap_s < min(0.3, cold.change.gap.gap_s)
+    assert back.view.choice is not None
+    assert back.view.choice.names["backend"] == "first"
+    assert back.view.report is not None
+    assert back.view.report.instruction == "move further"
+    assert [b.tag for _, b in change_overs(more_actions(witness))] == [2, 1]
