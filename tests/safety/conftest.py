@@ -1,0 +1,202 @@
+"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS graph who watches it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from roboneuron.config import Config, parse_config
+from roboneuron.ros.environment import prepare_environment
+from roboneuron.supervisor.supervisor import Supervisor
+
+CONFIG = """
+[robot]
+name = "fr3"
+command_timeout_s = 0.5
+[perception]
+source = "fr3-sim-camera"
+cameras = ["front", "wrist"]
+[inference]
+backend = "servo"
+instruction = "pick up the red cube"
+max_image_age_s = 0.5
+[control]
+controller = "urdf"
+action_timeout_s = 0.4
+[supervisor]
+start_timeout_s = 60.0
+"""
+STILL_RAD_S = 0.02
+"""Every joint slower than this: the arm stands."""
+
+
+class Arm:
+    """The FR3 of one test module, as a stranger sees it; times are monotonic."""
+
+    def __init__(self, state: Path) -> None:
+        import rclpy
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        from roboneuron.ros.qos import NEWEST
+
+        self.state_directory = state
+        self.config: Config = parse_config(CONFIG)
+        self.supervisor = Supervisor(state)
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("stranger", namespace="fr3", context=self.context)
+        self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
+        self.tcp: list[tuple[float, np.ndarray]] = []
+        self.action_times: list[float] = []
+        self.command_times: list[float] = []
+        self.actions = self.node.create_publisher(Float64MultiArray, "action", NEWEST)
+        self.other_actions = self.node.create_publisher(Float64MultiArray, "action", NEWEST)
+        self.node.create_subscription(JointState, "joint_states", self._on_state, NEWEST)
+        self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, NEWEST)
+        self.node.create_subscription(
+            Float64MultiArray, "action", lambda _: self.action_times.append(time.monotonic()), NEWEST
+        )
+        self.node.create_subscription(
+            JointTrajectory, "joint_trajectory", lambda _: self.command_times.append(time.monotonic()), NEWEST
+        )
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def _on_state(self, message: Any) -> None:
+        self.states.append((time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7])))
+
+    def _on_pose(self, message: Any) -> None:
+        p = message.pose.position
+        self.tcp.append((time.monotonic(), np.array([p.x, p.y, p.z])))
+
+    def start(self, *kinds: Any) -> None:
+        """Start the modules that do not run."""
+        for kind in kinds:
+            if self.supervisor.view(kind).phase != "running":
+                self.supervisor.start(kind, self.config)
+
+    def pid(self, kind: Any) -> int:
+        process = self.supervisor.view(kind).process
+        assert process is not None
+        return int(process.pid)
+
+    def dropped(self, kind: Any, word: str) -> int:
+        report = self.supervisor.view(kind).report
+        return 0 if report is None else report.dropped_by.get(word, 0)
+
+    def metric(self, kind: Any, key: str) -> str:
+        report = self.supervisor.view(kind).report
+        return "" if report is None else report.metrics.get(key, "")
+
+    def note(self, kind: Any) -> str:
+        report = self.supervisor.view(kind).report
+        return "" if report is None else report.note
+
+    def velocities(self, since_s: float) -> np.ndarray:
+        """Measured joint velocities (k, 7) since then [rad/s]."""
+        return np.array([v for at, _, v in list(self.states) if at >= since_s])
+
+    def places(self, since_s: float) -> np.ndarray:
+        """Measured TCP positions (k, 3) since then [m]."""
+        return np.array([p for at, p in list(self.tcp) if at >= since_s])
+
+    def is_still(self) -> bool:
+        """Whether no joint moved during the last ten states, which are recent."""
+        last = list(self.states)[-10:]
+        return (
+            len(last) == 10
+            and time.monotonic() - last[0][0] < 0.5
+            and max(float(np.abs(v).max()) for _, _, v in last) < STILL_RAD_S
+        )
+
+    def is_moving(self) -> bool:
+        """Whether a joint moves."""
+        return bool(self.states) and float(np.abs(self.states[-1][2]).max()) > 5 * STILL_RAD_S
+
+    def act(self, values: list[float]) -> None:
+        """Publish one action, unchecked."""
+        from std_msgs.msg import Float64MultiArray
+
+        self.actions.publish(Float64MultiArray(data=values))
+
+    @contextlib.contextmanager
+    def waving(self) -> Iterator[None]:
+        """Somebody moves the TCP 20 mm per 0.1 s to and fro while the block lasts."""
+        from std_msgs.msg import Float64MultiArray
+
+        end = threading.Event()
+
+        def wave() -> None:
+            turn = 0
+            while not end.wait(0.1):
+                side = 0.02 if turn % 12 < 6 else -0.02
+                self.other_actions.publish(Float64MultiArray(data=[0.0, side, 0.0, 0.0, 0.0, 0.0, 1.0]))
+                turn += 1
+
+        thread = threading.Thread(target=wave)
+        thread.start()
+        try:
+            yield
+        finally:
+            end.set()
+            thread.join()
+
+    def close(self) -> None:
+        import rclpy
+
+        self.supervisor.close()
+        self._stop.set()
+        self._thread.join(5.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+def _wait(condition: Callable[[], bool], timeout_s: float, what: str) -> float:
+    """Wait for a fact; returns how long it took [s]."""
+    start_s = time.monotonic()
+    while not condition():
+        assert time.monotonic() - start_s < timeout_s, f"not within {timeout_s:g} s: {what}"
+        time.sleep(0.005)
+    return time.monotonic() - start_s
+
+
+@pytest.fixture(scope="session")
+def wait() -> Callable[[Callable[[], bool], float, str], float]:
+    """Bounded wait for a condition."""
+    return _wait
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
+    """An FR3 on a ROS domain of its own; tests start the modules they need."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(30, 100)))
+        patch.setenv("ROS_LOG_DIR", os.environ.get("ROS_LOG_DIR", ""))
+        state = tmp_path_factory.mktemp("state")
+        prepare_environment(state / "log")
+        created = Arm(state)
+        try:
+            yield created
+        finally:
+            created.close()
