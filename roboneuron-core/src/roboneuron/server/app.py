@@ -21,6 +21,7 @@ from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
 from roboneuron.config import Config
+from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import ADMIN
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.catalogue import catalogue_tools
@@ -105,6 +106,7 @@ class Application:
 
     def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
         self._started_s = time.monotonic()
+        self._is_joining = False
         self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
         self.supervisor = supervisor or Supervisor(
             state_directory(config.supervisor.state_directory), on_change=self._on_module
@@ -133,7 +135,18 @@ class Application:
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
         self.supervisor.open()
+        self._is_joining = True
         self.direct.open()
+
+    async def _join_ros(self) -> None:
+        """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
+
+        What cannot be joined is told by the tools that need it.
+        """
+        if self._is_joining:
+            with suppress(RoboNeuronError):
+                await to_thread.run_sync(lambda: self.supervisor.link)
+            self._is_joining = False
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""
@@ -148,6 +161,7 @@ class Application:
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
         ) -> types.CallToolResult:
+            await self._join_ros()
             return await self.tools.call(params.name, params.arguments or {}, RequestContext(context))
 
         async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:

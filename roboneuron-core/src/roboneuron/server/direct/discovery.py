@@ -7,7 +7,6 @@ import logging
 import re
 import threading
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 from roboneuron.config import Config, DiscoverConfig
 from roboneuron.contract import Endpoint
@@ -17,9 +16,6 @@ from roboneuron.interfaces import load_interface
 from roboneuron.server.direct.endpoints import Exposed
 from roboneuron.server.direct.naming import to_label
 from roboneuron.server.direct.traffic import Traffic
-
-if TYPE_CHECKING:
-    from rclpy.node import Node
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]
@@ -57,27 +53,16 @@ class LiveGraph:
         period_s = min(entry.period_s for entry in self._config.discover)
         while not self._stop.is_set():
             try:
-                live = self._look(self._traffic.link().node)
+                node = self._traffic.link().node  # first: two threads must not import rclpy at the same time
+                from roboneuron.ros.live import used_names  # heavy
+
+                live = used_names(node)
                 if live != self._seen:
                     self._seen = live
                     self._on_found(self._match(live))
             except RoboNeuronError as error:
                 log.error("The ROS graph cannot be looked at: %s", error)
             self._stop.wait(period_s)
-
-    @staticmethod
-    def _look(node: Node) -> Kinds:
-        from roboneuron.ros.live import action_types, service_types, topic_types  # heavy
-
-        topics = {name: types[0] for name, types in topic_types(node).items() if len(types) == 1}
-        services = service_types(node)
-        actions = {name: types[0] for name, types in action_types(node).items()}
-        return {
-            "publish": {n: t for n, t in topics.items() if _others(node.get_subscriptions_info_by_topic(n), node)},
-            "read": {n: t for n, t in topics.items() if _others(node.get_publishers_info_by_topic(n), node)},
-            "service": {n: t[0] for n, t in services.items() if len(t) == 1 and not _PARAMETER_SERVICE.search(n)},
-            "action": actions,
-        }
 
     def _match(self, live: Kinds) -> tuple[Exposed, ...]:
         found: dict[tuple[str, str], Exposed] = {}
@@ -109,10 +94,5 @@ class LiveGraph:
         return Exposed(robot=robot, namespace=namespace, label=label, endpoint=endpoint, interface=interface)
 
 
-def _others(infos: list[object], node: Node) -> bool:
-    """Whether somebody else than this server is there."""
-    return any(getattr(info, "node_name", "") != node.get_name() for info in infos)
-
-
 def _fits(entry: DiscoverConfig, name: str) -> bool:
-    return fnmatch.fnmatchcase(name, entry.pattern) and not _SILENT.search(name)
+    return fnmatch.fnmatchcase(name, entry.pattern) and not _SILENT.search(name) and not _PARAMETER_SERVICE.search(name)
