@@ -12,13 +12,16 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo test test-all check format bench bench-vla reference clean
+.PHONY: help demo demo-bases test test-all check format bench bench-vla reference interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 demo: $(VENV)/.demo ## an agent picks up a cube with a simulated FR3
 	@$(BIN)/roboneuron demo $(ARGS)
+
+demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
+	@$(BIN)/python examples/drive_bases.py $(ARGS)
 
 test: $(VENV)/.develop ## the default test suite
 	$(BIN)/python -m pytest -m "not gpu and not hardware and not slow" $(ARGS)
@@ -46,6 +49,15 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
 
+interop-sglang: $(VENV)/.develop .venv-sglang/.ready ## real SGLang in an environment of its own (3.4 GB): same tokens, latency, closed loop
+	$(BIN)/python plugins/rn-runtime-sglang/interop/check.py --python .venv-sglang/bin/python $(ARGS)
+	$(BIN)/python plugins/rn-runtime-sglang/interop/loop.py --python .venv-sglang/bin/python
+
+.venv-sglang/.ready: plugins/rn-runtime-sglang/interop/install.sh plugins/rn-runtime-sglang/interop/requirements.txt
+	@echo "Setting up .venv-sglang (once, about five minutes) ..."
+	plugins/rn-runtime-sglang/interop/install.sh .venv-sglang $(PYTHON)
+	@touch $@
+
 clean: ## remove the virtual environment and everything the demo wrote
 	rm -rf $(VENV) out
 
@@ -58,6 +70,10 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(DEMO_PACKAGES))
 	@touch $@
 
+$(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
+	$(PIP) --constraint constraints.txt --editable roboneuron-core --editable plugins/rn-robot-bases
+	@touch $@
+
 # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
 $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
@@ -65,4 +81,4 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(ALL_PACKAGES)) \
 	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs
-	@touch $@ $(VENV)/.demo
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases
