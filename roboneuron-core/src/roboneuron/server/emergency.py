@@ -53,6 +53,7 @@ class EmergencyStop:
 
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed; a latched stop reaches modules that start later."""
+        link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
         from roboneuron.ros.qos import LATCHED
@@ -60,7 +61,7 @@ class EmergencyStop:
         with self._lock:
             if namespace in self._publishers:
                 return
-            publish = self._supervisor.link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
+            publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
             self._publishers[namespace] = publish
             if self._latch.is_latched():
                 publish(Bool(data=True))
@@ -114,10 +115,10 @@ class EmergencyStop:
             log.error("The emergency stop is not in the audit: %s", error)
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
-        from std_msgs.msg import Bool  # heavy
-
         started_s = time.monotonic()
         self.prepare(namespace)
+        from std_msgs.msg import Bool  # heavy
+
         with self._lock:
             publishers = list(self._publishers.values())
         for publish in publishers:
