@@ -12,7 +12,7 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-all check format bench bench-vla reference interop-sglang clean
+.PHONY: help demo demo-bases test test-all check format bench bench-vla interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
