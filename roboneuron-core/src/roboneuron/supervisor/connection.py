@@ -6,10 +6,11 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.errors import StateError
+from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.shared_memory import RECORD_NAME, SegmentRecord, clean_recorded, owned_segments
 
@@ -46,10 +47,14 @@ class Connection:
         Raises:
             ConfigurationError: the environment mixes two ROS installations.
             StateError: the server is shutting down.
+            NotReadyError: joining takes unusually long; it goes on in the background.
         """
         self.begin()
         assert self._opened is not None
-        return self._opened.result(timeout=_OPEN_TIMEOUT_S)
+        try:
+            return self._opened.result(timeout=_OPEN_TIMEOUT_S)
+        except FutureTimeoutError as error:
+            raise NotReadyError(f"The ROS graph was not joined within {_OPEN_TIMEOUT_S:g} s.", hint="Retry.") from error
 
     def close(self) -> None:
         """Leave the graph; idempotent."""

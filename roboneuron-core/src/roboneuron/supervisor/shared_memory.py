@@ -8,6 +8,7 @@ that can be taken after its death proves that nobody else has taken the name ove
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
 import re
 import threading
@@ -15,6 +16,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+log = logging.getLogger(__name__)
 SHARED_MEMORY = Path("/dev/shm")
 _PREFIX, _SUFFIX = "fastrtps_", "_el"
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
@@ -69,11 +71,14 @@ class SegmentRecord:
         self._lock = threading.Lock()
 
     def add(self, names: frozenset[str]) -> None:
-        """Remember names."""
+        """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
         with self._lock:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a", encoding="ascii") as file:
-                file.writelines(f"{name}\n" for name in sorted(names))
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                with self._path.open("a", encoding="ascii") as file:
+                    file.writelines(f"{name}\n" for name in sorted(names))
+            except OSError as error:
+                log.warning("The names of shared-memory files cannot be recorded: %s", error)
 
     def close(self) -> None:
         """Everything has ended in order: remove what is stale all the same, and the file."""
@@ -97,7 +102,8 @@ def _clean(record: Path) -> int:
     except (OSError, UnicodeDecodeError):
         return 0
     removed = remove_stale(names)
-    record.unlink(missing_ok=True)
+    with suppress(OSError):
+        record.unlink()
     return removed
 
 
