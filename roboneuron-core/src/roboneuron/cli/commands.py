@@ -28,6 +28,7 @@ class CommandModule(Protocol):
 COMMANDS: dict[str, Command] = {
     "demo": Command("roboneuron.cli.demo", "an agent stand-in picks up a cube with the simulated robot"),
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
+    "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
     "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),

@@ -26,11 +26,13 @@ from roboneuron.gate import ADMIN
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.direct.path import DirectPath
+from roboneuron.server.guard import Guard
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
@@ -113,6 +115,7 @@ class Application:
         )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
         self.notices = ToolNotices()
+        self.guard = Guard(self.loop, self.notices.resource_updated)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -121,6 +124,7 @@ class Application:
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
                 *self.direct.tools(),
+                *record_tools(self.loop, self.guard.incidents),
             ]
         )
         self.direct.fill(self.tools)
@@ -129,6 +133,7 @@ class Application:
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent."""
+        self.guard.close()
         self.direct.close()
         self.supervisor.close()
 
@@ -137,6 +142,7 @@ class Application:
         self.supervisor.open()
         self._is_joining = True
         self.direct.open()
+        self.guard.start()
 
     async def _join_ros(self) -> None:
         """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
@@ -172,6 +178,15 @@ class Application:
         ) -> types.ReadResourceResult:
             return types.ReadResourceResult(contents=[self.resources.read(str(params.uri))])
 
+        async def subscribe(context: ServerRequestContext[Any, Any], params: types.SubscribeRequestParams) -> Any:
+            self.resources.check(str(params.uri))
+            self.notices.subscribe(context, str(params.uri))
+            return types.EmptyResult()
+
+        async def unsubscribe(context: ServerRequestContext[Any, Any], params: types.UnsubscribeRequestParams) -> Any:
+            self.notices.unsubscribe(context, str(params.uri))
+            return types.EmptyResult()
+
         return Server(
             name,
             version=__version__,
@@ -180,6 +195,8 @@ class Application:
             on_call_tool=call_tool,
             on_list_resources=list_resources,
             on_read_resource=read_resource,
+            on_subscribe_resource=subscribe,
+            on_unsubscribe_resource=unsubscribe,
             on_subscriptions_listen=ListenHandler(self.notices.bus),
         )
 
@@ -200,6 +217,7 @@ def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
 
 
 async def _serve(application: Application, wire: tuple[int, int]) -> None:
+    application.notices.attach(asyncio.get_running_loop())
     reader, writer = LineReader(wire[0]), LineWriter(wire[1])
     reader.start()
     writer.start()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleKind
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import (
@@ -64,6 +65,7 @@ class ClosedLoop:
         self.plugins = plugins
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
+        self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self._before: Selection | None = None
         self._streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
@@ -192,12 +194,21 @@ class ClosedLoop:
                 self._streams[namespace] = ActionStream(self.supervisor.link, namespace)
             return self._streams[namespace]
 
+    def last_actions(self, most: int) -> list[dict[str, Any]]:
+        """The newest actions on the present robot's action topic: source time [ns] and values; for the records."""
+        with self._lock:
+            stream = self._streams.get(self.config.namespace)
+        return [{"sent_ns": at, "values": list(values)} for at, values in stream.newest(most)] if stream else []
+
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
+        self.on_stop(kind)
         return self.supervisor.stop(kind)
 
     def stop_all(self) -> list[Stopped]:
         """Stop everything, in the reverse order of starting."""
+        for kind in MODULE_KINDS:
+            self.on_stop(kind)
         return self.supervisor.stop_all()
 
     def cancel(self, kind: ModuleKind) -> None:

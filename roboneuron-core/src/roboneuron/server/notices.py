@@ -1,14 +1,15 @@
-"""Telling clients of both protocol eras that the tools changed, from any thread."""
+"""Telling clients of both protocol eras that the tools or a resource changed, from any thread."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Coroutine
 from typing import Any
 
 from anyio import BrokenResourceError, ClosedResourceError
 from mcp.server.context import ServerRequestContext
-from mcp.server.subscriptions import InMemorySubscriptionBus, ToolsListChanged
+from mcp.server.subscriptions import InMemorySubscriptionBus, ResourceUpdated, ToolsListChanged
 from mcp.shared.exceptions import MCPError
 
 log = logging.getLogger(__name__)
@@ -29,6 +30,7 @@ class ToolNotices:
         self._sessions: dict[int, Any] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
+        self._subscribers: dict[str, dict[int, Any]] = {}
 
     def remember(self, request: ServerRequestContext[Any, Any]) -> None:
         """A client listed the tools; called on the event loop."""
@@ -38,14 +40,32 @@ class ToolNotices:
             while len(self._sessions) > _MOST_SESSIONS:
                 del self._sessions[next(iter(self._sessions))]
 
+    def subscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
+        """A client of an older revision wants to know when the resource `uri` changes; called on the event loop."""
+        self._subscribers.setdefault(uri, {})[id(request.session)] = request.session
+
+    def unsubscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
+        """It does not want to any more."""
+        self._subscribers.get(uri, {}).pop(id(request.session), None)
+
+    def attach(self, loop: asyncio.AbstractEventLoop) -> None:
+        """The event loop that clients are served on."""
+        self._loop = loop
+
+    def resource_updated(self, uri: str) -> None:
+        """Tell those who want to know; callable from any thread."""
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(self._begin, self._tell_updated(uri))
+
     def tools_changed(self) -> None:
         """Tell everybody; callable from any thread, does nothing before the first client."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._begin)
+            loop.call_soon_threadsafe(self._begin, self._tell())
 
-    def _begin(self) -> None:
-        task = asyncio.ensure_future(self._tell())
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.ensure_future(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -57,3 +77,13 @@ class ToolNotices:
             except (BrokenResourceError, ClosedResourceError, MCPError) as error:
                 log.debug("A client is gone: %r", error)
                 self._sessions.pop(key, None)
+
+    async def _tell_updated(self, uri: str) -> None:
+        await self.bus.publish(ResourceUpdated(uri=uri))
+        subscribers = self._subscribers.get(uri, {})
+        for key, session in list(subscribers.items()):
+            try:
+                await session.send_resource_updated(uri)
+            except (BrokenResourceError, ClosedResourceError, MCPError) as error:
+                log.debug("A client is gone: %r", error)
+                subscribers.pop(key, None)

@@ -57,5 +57,13 @@ class Resources:
             if uri == f"{LOG_URI}{kind}":
                 lines = read_tail(self._loop.supervisor.log_path(kind), lines=LOG_LINES)
                 return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
+        raise self._unknown(uri)
+
+    def check(self, uri: str) -> None:
+        """Raises MCPError when there is no such resource."""
+        if uri not in [resource.uri for resource in self.listing()]:
+            raise self._unknown(uri)
+
+    def _unknown(self, uri: str) -> MCPError:
         known = ", ".join(resource.uri for resource in self.listing())
-        raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
+        return MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")

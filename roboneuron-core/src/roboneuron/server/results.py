@@ -10,6 +10,7 @@ from pydantic import Field
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.tool import Result
 from roboneuron.supervisor.view import ModuleView, Stopped
+from roboneuron.supervisor.watch import EXPLANATIONS, Health, assess
 
 STALE_S = 1.0
 """A module whose newest report is older than this (five periods) is shown as not responding."""
@@ -39,6 +40,10 @@ class ModuleStatus(Result):
     phase: Literal["stopped", "starting", "running", "stopping", "exited"] = Field(
         description="exited: it ended by itself, see `exit`"
     )
+    health: Health = Field(
+        default="stopped",
+        description="how it is: " + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
+    )
     ready: bool = Field(default=False, description="it has proved that it works and still reports")
     responding: bool = Field(default=False, description="its newest report is at most 1 s old")
     pid: int | None = None
@@ -52,6 +57,8 @@ class ModuleStatus(Result):
     age_ms: float | None = Field(default=None, description="age of its newest input or output")
     report_age_s: float | None = Field(default=None, description="time since its newest report")
     loop_age_s: float | None = Field(default=None, description="time since its executor last turned; grows in a hang")
+    work_age_s: float | None = Field(default=None, description="time since its work last made progress")
+    work_limit_s: float | None = Field(default=None, description="from this age on it counts as stalled")
     published: int = 0
     dropped: int = Field(default=0, description="inputs not acted on, see `dropped_by`")
     dropped_by: dict[str, int] = Field(default_factory=dict)
@@ -155,6 +162,7 @@ def module_status(view: ModuleView) -> ModuleStatus:
     common = ModuleStatus(
         module=view.kind,
         phase=view.phase,
+        health=assess(view, time.monotonic()),
         pid=process.pid if process is not None and view.phase != "exited" else None,
         started_at=process.started_at.isoformat(timespec="seconds") if process is not None else None,
         started_with=dict(view.choice.names) if view.choice is not None else {},
@@ -178,6 +186,8 @@ def module_status(view: ModuleView) -> ModuleStatus:
             "age_ms": report.age_ms,
             "report_age_s": round(age_s, 3),
             "loop_age_s": report.loop_age_s,
+            "work_age_s": report.work_age_s,
+            "work_limit_s": report.work_limit_s,
             "published": report.published,
             "dropped": report.dropped,
             "dropped_by": dict(report.dropped_by),

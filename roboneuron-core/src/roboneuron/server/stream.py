@@ -70,6 +70,11 @@ class ActionStream:
         with self._lock:
             return [values for sent_ns, values in self._actions if sent_ns >= moment_ns]
 
+    def newest(self, most: int) -> list[tuple[int, tuple[float, ...]]]:
+        """The newest actions: source time [ns] and values, oldest first."""
+        with self._lock:
+            return list(self._actions)[-most:]
+
     def gap(self, first_ns: int) -> Gap | None:
         """The gap before the action sent at `first_ns` [ns] or right after it; None without two actions before it."""
         with self._lock:

@@ -1,0 +1,143 @@
+"""The tools by which an agent reads what happened: the modules' logs and the incident records."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+from pydantic import Field
+
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.incidents import Incidents
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.tool import Arguments, CallContext, Result, Tool
+from roboneuron.supervisor.logs import read_tail
+
+Level = Literal["debug", "info", "warning", "error"]
+_LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
+_RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
+_ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
+_MOST_LINES = 2000
+_MOST_TEXT = 4000
+
+
+class GetLogs(Arguments):
+    """Arguments of get_logs."""
+
+    module: ModuleKind = Field(description="Whose log.")
+    entries: int = Field(default=50, ge=1, le=500, description="Most entries; the newest are given.")
+    level: Level = Field(default="debug", description="Leave out entries below this level.")
+    contains: str = Field(default="", max_length=200, description="Only entries with this text.")
+
+
+class LogEntry(Result):
+    """One entry; `level` is empty for what was not written by the logger (a plugin's or library's own output)."""
+
+    at: str = Field(default="", description="local time")
+    level: str = ""
+    logger: str = ""
+    text: str
+
+
+class LogsResult(Result):
+    """The newest entries, oldest first."""
+
+    module: ModuleKind
+    entries: list[LogEntry]
+    path: str = Field(description="the whole log, on the server's host")
+
+
+class ListIncidents(Arguments):
+    """Arguments of list_incidents."""
+
+    entries: int = Field(default=10, ge=1, le=100, description="Most records; the newest are given.")
+    module: ModuleKind | None = Field(default=None, description="Only of this module.")
+
+
+class Incident(Result):
+    """One fault."""
+
+    id: str
+    at: str = Field(description="ISO 8601")
+    module: str
+    what: str = Field(description="failing, stalled, stuck, silent, exited, restart ...")
+    before: str = Field(default="", description="how it was before")
+    explanation: str = ""
+    status: dict[str, Any] = Field(default_factory=dict, description="the module's last status, as in get_status")
+    log: list[str] = Field(default_factory=list, description="the end of its log")
+    actions: list[dict[str, Any]] = Field(
+        default_factory=list, description="the last actions on the action topic: when they were sent, and their values"
+    )
+
+
+class IncidentsResult(Result):
+    """The newest records, newest first."""
+
+    incidents: list[Incident]
+    directory: str = Field(description="where the records are, on the server's host")
+
+
+def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
+    """Log lines as entries; lines that continue one (a traceback) belong to it."""
+    entries: list[LogEntry] = []
+    for line in lines:
+        match = _ENTRY.match(line)
+        if match:
+            at, level, logger, text = match.groups()
+            entries.append(LogEntry(at=at, level=level.lower(), logger=logger, text=text))
+        elif entries and entries[-1].level:
+            text = f"{entries[-1].text}\n{line}"[:_MOST_TEXT]
+            entries[-1] = entries[-1].model_copy(update={"text": text})
+        else:
+            entries.append(LogEntry(text=line[:_MOST_TEXT]))
+    return entries
+
+
+def record_tools(loop: ClosedLoop, incidents: Incidents) -> list[Tool[Any]]:
+    """get_logs and list_incidents."""
+
+    async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
+        path = loop.supervisor.log_path(arguments.module)
+        least = _LEVELS.index(arguments.level)
+        entries = [
+            entry
+            for entry in parse_entries(await context.run(lambda _: read_tail(path, lines=_MOST_LINES)))
+            if _RANK.get(entry.level.upper(), 1) >= least and arguments.contains in entry.text
+        ]
+        return LogsResult(module=arguments.module, entries=entries[-arguments.entries :], path=str(path))
+
+    async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
+        found = await context.run(lambda _: incidents.listing(200))
+        known = set(Incident.model_fields)
+        records = [
+            Incident.model_validate({key: value for key, value in record.items() if key in known})
+            for record in found
+            if arguments.module is None or record.get("module") == arguments.module
+        ]
+        return IncidentsResult(incidents=records[: arguments.entries], directory=str(incidents.directory))
+
+    return [
+        Tool(
+            name="get_logs",
+            title="Log of a module",
+            description="The newest entries of a module's log, also after it has ended.",
+            arguments=GetLogs,
+            result=LogsResult,
+            handler=get_logs,
+            read_only=True,
+            idempotent=True,
+        ),
+        Tool(
+            name="list_incidents",
+            title="What went wrong",
+            description=(
+                "Records of faults: a module that ended, froze, stalled or failed, and every restart; with its last "
+                "status, the end of its log and the last actions. Kept across restarts of the server."
+            ),
+            arguments=ListIncidents,
+            result=IncidentsResult,
+            handler=list_incidents,
+            read_only=True,
+            idempotent=True,
+        ),
+    ]
