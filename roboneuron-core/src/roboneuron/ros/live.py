@@ -75,3 +75,22 @@ def action_types(node: Node) -> dict[str, list[str]]:
 def node_names(node: Node) -> list[str]:
     """Absolute names of all nodes."""
     return sorted(f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces())
+
+
+def used_names(node: Node) -> dict[str, dict[str, str]]:
+    """Type by absolute name for each kind of use: "publish" where others subscribe, "read" where others publish, ...
+
+    Names that carry several types are left out.
+    """
+    topics = {name: types[0] for name, types in topic_types(node).items() if len(types) == 1}
+    return {
+        "publish": {n: t for n, t in topics.items() if _others(node.get_subscriptions_info_by_topic(n), node)},
+        "read": {n: t for n, t in topics.items() if _others(node.get_publishers_info_by_topic(n), node)},
+        "service": {n: types[0] for n, types in service_types(node).items() if len(types) == 1},
+        "action": {n: types[0] for n, types in action_types(node).items() if len(types) == 1},
+    }
+
+
+def _others(infos: Sequence[Any], node: Node) -> bool:
+    """Whether somebody else than this node is there."""
+    return any(info.node_name != node.get_name() for info in infos)

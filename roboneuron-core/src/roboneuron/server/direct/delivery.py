@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from roboneuron.ros.writer import TopicWriter
 
 log = logging.getLogger(__name__)
-TIMEOUT = Number(text="How long to wait for a subscriber, in seconds.", low=0.0, high=60.0, default=2.0)
+TIMEOUT = Number(text="How long to wait for a subscriber, in seconds.", low=0.0, high=60.0, default=5.0)
 _LATE_S = 0.25
 """After a longer wait for a subscriber the gate is asked again."""
 

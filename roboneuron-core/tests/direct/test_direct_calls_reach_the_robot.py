@@ -1,0 +1,239 @@
+"""Every kind of direct tool against a real node: what arrives, what is answered, what is refused."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from mcp import types
+
+from roboneuron.server.app import Application
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+Ask = Callable[[Callable[[Any], Any]], None]
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    import time
+
+    end_s = time.monotonic() + 5.0
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.005)
+    return condition()
+
+
+def test_a_message_arrives_exactly_and_the_answer_says_to_how_many(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        first = await agent.do("publish_speech", message={"data": "hello é"})
+        assert (first["sent"], first["subscribers"], first["topic"]) == (1, 1, "/rover/say")
+        assert until(lambda: [m.data for m in rover.on("say")] == ["hello é"])
+        await agent.do("publish_speech", message={"data": "again"})
+        assert until(lambda: [m.data for m in rover.on("say")] == ["hello é", "again"])
+
+    ask(scenario)
+
+
+def test_a_latching_subscription_is_matched_by_its_own_quality_of_service(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        assert (await agent.do("publish_latched", message={"data": 7}))["subscribers"] == 1
+        assert until(lambda: [m.data for m in rover.on("mode")] == [7])
+
+    ask(scenario)
+
+
+def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        result = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 1 / 4}}, duration_s=0.3)
+        assert result["stopped"]
+        assert 0.3 <= result["duration_s"] < 0.5
+        assert until(lambda: len(rover.on("cmd_vel")) == result["sent"])
+        speeds = [m.linear.x for m in rover.on("cmd_vel")]
+        assert speeds[-1] == 0.0
+        assert set(speeds[:-1]) == {0.25}
+        assert 5 <= len(speeds) <= 8
+        await agent.do("publish_velocity", robot="second", message={"linear": {"x": 0.1}}, duration_s=0.1)
+        assert until(lambda: rover.on("/second/cmd_vel")[-1].linear.x == 0.0)
+        assert rover.on("/second/cmd_vel")[0].linear.x == 0.1
+
+    ask(scenario)
+
+
+def test_limits_are_those_of_the_robot_that_is_chosen(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        code, text = await agent.fail("publish_velocity", robot="second", message={"linear": {"x": 0.4}})
+        assert code == "refused"
+        assert "linear.x is 0.4, allowed is -0.1 .. 0.1" in text
+        code, text = await agent.fail("publish_velocity", robot="third", message={})
+        assert code == "invalid_input"
+        assert "rover, second" in text
+        assert (await agent.fail("publish_velocity", message={}))[1].startswith("Argument 'robot' is missing")
+        clamped = await agent.do("publish_velocity", robot="rover", message={"angular": {"z": 5}}, duration_s=0.1)
+        assert clamped["clamped"] == [{"path": "angular.z", "asked": 5.0, "sent": 1.0}]
+        assert until(lambda: rover.on("cmd_vel")[0].angular.z == 1.0)
+        assert not rover.on("/second/cmd_vel")
+
+    ask(scenario)
+
+
+def test_nobody_listening_is_an_error_unless_that_is_configured(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        assert (await agent.do("publish_lonely", message={}))["subscribers"] == 0
+        rover.node.destroy_subscription(next(s for s in rover.node.subscriptions if s.topic_name == "/rover/say"))
+        code, text = await agent.fail("publish_speech", message={"data": "x"}, timeout_s=0.3)
+        assert code == "not_ready"
+        assert "Nobody subscribes to /rover/say (std_msgs/msg/String): nothing was sent." in text
+
+    ask(scenario)
+
+
+def test_a_dry_run_answers_and_sends_nothing(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        allowed = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 0.2}}, dry_run=True)
+        assert (allowed["dry_run"], allowed["allowed"], allowed["sent"]) == (True, True, 0)
+        refused = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 9}}, dry_run=True)
+        assert (refused["allowed"], refused["rule"]) == (False, "bounds")
+        light = await agent.do("call_light", request={"data": True}, dry_run=True)
+        assert light["allowed"]
+        assert "response" not in light
+        goal = await agent.do("send_count_goal", goal={"order": 3}, dry_run=True)
+        assert (goal["status"], goal["allowed"]) == ("", True)
+        assert not rover.received
+        assert not rover.goals
+
+    ask(scenario)
+
+
+def test_reading_waits_for_messages_and_summarises(ask: Ask, rover: Any) -> None:
+    from sensor_msgs.msg import BatteryState, Image
+
+    async def scenario(agent: Any) -> None:
+        code, text = await agent.fail("read_battery", timeout_s=0.2)
+        assert (code, "Nobody publishes /rover/battery" in text) == ("not_ready", True)
+        rover.publish_often(BatteryState, "battery", BatteryState(voltage=12.5, temperature=float("nan")))
+        got = await agent.do("read_battery", count=3)
+        assert got["complete"]
+        assert [m["voltage"] for m in got["messages"]] == [12.5] * 3
+        assert got["messages"][0]["temperature"] == "NaN"
+        few = await agent.do("read_battery", count=100, timeout_s=0.3)
+        assert not few["complete"]
+        assert 1 <= len(few["messages"]) < 100
+        picture = Image(height=2, width=2, encoding="rgb8", step=6, data=bytes(range(12)))
+        rover.publish_often(Image, "image", picture)
+        answer = await agent.call("read_picture", {})
+        assert not answer.is_error
+        block = next(b for b in answer.content if isinstance(b, types.ImageContent))
+        assert base64.b64decode(block.data)
+
+    ask(scenario)
+
+
+def test_a_best_effort_and_a_latched_publisher_are_both_heard(ask: Ask, rover: Any) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import BatteryState
+
+    async def scenario(agent: Any) -> None:
+        timer = rover.publish_often(
+            BatteryState, "battery", BatteryState(voltage=1.0),
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+        )  # fmt: skip
+        assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 1.0
+        timer.cancel()
+        for publisher in list(rover.node.publishers):
+            if publisher.topic_name == "/rover/battery":
+                rover.node.destroy_publisher(publisher)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        rover.node.create_publisher(BatteryState, "battery", latched).publish(BatteryState(voltage=2.0))
+        assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 2.0
+
+    ask(scenario)
+
+
+def test_a_service_answers_and_an_absent_one_is_an_error(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        answer = await agent.do("call_light", request={"data": True})
+        assert answer["response"] == {"success": True, "message": "on"}
+        assert answer["service"] == "/rover/light"
+        code, text = await agent.fail("call_absent", timeout_s=0.3)
+        assert (code, "Nobody serves /rover/absent" in text) == ("not_ready", True)
+        assert (await agent.fail("call_light", request={"data": 1}))[0] == "invalid_input"
+        assert (await agent.fail("call_light"))[1].startswith("Argument 'request' is missing")
+
+    ask(scenario)
+
+
+def test_a_goal_reports_feedback_as_progress_and_its_result(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        done = await agent.do("send_count_goal", goal={"order": 6})
+        assert done["status"] == "succeeded"
+        assert done["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+        assert done["feedbacks"] == 6
+        assert '"sequence": [0, 1, 1' in agent.progress[0]
+        code, text = await agent.fail("send_count_goal", goal={"order": 7})
+        assert (code, "was aborted" in text) == ("wrong_state", True)
+        assert (await agent.fail("send_count_goal", goal={"order": 101}))[0] == "refused"
+        assert rover.goals == ["succeeded", "aborted"]
+
+    ask(scenario)
+
+
+def test_a_goal_that_takes_too_long_is_cancelled(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        code, text = await agent.fail("send_count_goal", goal={"order": 90}, timeout_s=0.3)
+        assert code == "not_ready"
+        assert "did not end within 0.3 s" in text
+        assert "the goal was ended (canceled)" in text
+        assert rover.goals == ["canceled"]
+
+    ask(scenario)
+
+
+def test_parameters_are_listed_described_read_and_set_within_limits(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        node = {"node": "robot_node"}
+        assert {"gain", "label"} <= set((await agent.do("list_parameters", **node))["names"])
+        assert (await agent.do("get_parameters", **node, names=["gain", "label"]))["parameters"] == {
+            "gain": 1.5,
+            "label": "a",
+        }
+        described = await agent.do("describe_parameters", **node, names=["gain"])
+        assert described["parameters"]["gain"]["type"] == "double"
+        assert (await agent.do("set_parameters", **node, parameters={"gain": 2}))["parameters"] == {"gain": 2.0}
+        assert rover.node.get_parameter("gain").value == 2.0
+        assert (await agent.fail("set_parameters", **node, parameters={"gain": 11}))[0] == "refused"
+        assert (await agent.fail("set_parameters", **node, parameters={"label": 3}))[0] == "invalid_input"
+        assert (await agent.fail("set_parameters", **node, parameters={"nothing": 3}))[0] == "invalid_input"
+        assert (await agent.fail("get_parameters", node="other", names=["gain"]))[0] == "invalid_input"
+        assert rover.node.get_parameter("gain").value == 2.0
+
+    ask(scenario)
+
+
+def test_what_is_exposed_is_shown_with_what_the_graph_knows_of_it(ask: Ask, rover: Any) -> None:
+    async def scenario(agent: Any) -> None:
+        await agent.do("publish_speech", message={"data": "x"})
+        topics = {(t["robot"], t["name"]): t for t in (await agent.do("list_topics"))["topics"]}
+        assert topics["rover", "speech"]["subscribers"] == 1
+        assert topics["rover", "light"]["served"] is True
+        assert topics["rover", "absent"]["served"] is False
+        assert (await agent.do("list_nodes"))["nodes"] == ["/rover/robot_node"]
+        described = await agent.do("describe_interface", type="std_srvs/srv/SetBool")
+        assert set(described["parts"]) == {"request", "response"}
+        assert "geometry_msgs/msg/Twist" in (await agent.do("list_interfaces", package="geometry_msgs"))["interfaces"]
+        assert (await agent.fail("describe_interface", type="../../etc/passwd"))[0] == "invalid_input"
+
+    ask(scenario)
+
+
+def test_a_topic_of_another_type_is_named(ask: Ask, rover: Any, application: Application) -> None:
+    from std_msgs.msg import Bool
+
+    async def scenario(agent: Any) -> None:
+        rover.node.create_subscription(Bool, "nobody", lambda message: None, 1)
+        assert until(lambda: application.supervisor.link.node.count_subscribers("/rover/nobody") == 1)
+        code, text = await agent.fail("publish_lonely", message={})
+        assert code == "configuration"
+        assert "carries std_msgs/msg/Bool, it is exposed as std_msgs/msg/Empty" in text
+
+    ask(scenario)
