@@ -30,6 +30,7 @@ COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
     "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
+    "call": Command("roboneuron.cli.call", "call a tool as an agent would, on a spawned or a running server"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),

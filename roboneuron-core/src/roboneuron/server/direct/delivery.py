@@ -104,7 +104,6 @@ def carry_out(
         StateError: cancelled, or a policy took over.
         ConfigurationError: the topic carries another type.
     """
-    writer = access.traffic.writer(exposed)
     if exposed.endpoint.joint_limited and request.joints is None:
         request = replace(request, joints=access.traffic.joints(exposed, timeout_s))
     lasting = any(step.duration_s for step in steps)
@@ -114,6 +113,7 @@ def carry_out(
             if motion is None:
                 access.desk.check_free(exposed)
             verdict = access.gate.check(request)
+            writer = access.traffic.writer(exposed)
             if not verdict.may_send:
                 return _answer(exposed, verdict, 0, writer.listening(), 0.0, False)
             matched = _connect(access, exposed, writer, request, timeout_s, owned=motion is not None)
@@ -127,7 +127,7 @@ def carry_out(
         if not request.dry_run:
             raise
         verdict = Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership")
-        return _answer(exposed, verdict, 0, writer.listening(), 0.0, False)
+        return _answer(exposed, verdict, 0, access.traffic.writer(exposed).listening(), 0.0, False)
 
 
 def _connect(

@@ -266,6 +266,8 @@ def _names(arguments: Mapping[str, Any]) -> Sequence[str]:
 
 def _check_bounds(node: ParameterNode, name: str, value: Any) -> None:
     take_text({"parameters": name}, "parameters")
+    if not isinstance(value, bool | int | float | str | list):
+        raise InvalidInputError(f"Parameter {name!r} is {describe_value(value)}, expected a value or a list of values.")
     if name not in node.bounds:
         return
     low, high = node.bounds[name]
