@@ -1,0 +1,133 @@
+"""Replacing the backend while the arm moves: warm and cold beside each other, in one run.
+
+    python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30]
+
+The camera numbers its images and the actions carry the number back, so that a missed period is an image that nobody
+acted on, and a late one is seen in the times at which actions were sent (DDS source times). "Elsewhere" is the same
+stream between change-overs: what the machine itself does to it. The velocity step is the change of the commanded
+velocity of the moving joint from one command to the next.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parent))
+from switch_loop import Sent, moving_loop, quiet
+
+from roboneuron.server.loop import ClosedLoop, SwitchMode
+from roboneuron.server.selection import InferenceRequest
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """What one series of change-overs did.
+
+    Attributes:
+        gaps_s: last action of the old to first action of the new backend.
+        missed: images without an action at the change-overs.
+        elsewhere_s: times between the other actions.
+        skipped: images without an action between the change-overs, of `images`.
+        step_m_s, step_elsewhere_m_s: largest change of the commanded velocity.
+        took_s: median duration of the call.
+    """
+
+    gaps_s: np.ndarray
+    missed: int
+    elsewhere_s: np.ndarray
+    skipped: int
+    images: int
+    twice: int
+    step_m_s: float
+    step_elsewhere_m_s: float
+    took_s: float
+
+
+def judge(actions: list[Sent], commands: list[tuple[int, float, float]], took_s: list[float]) -> Outcome:
+    """Compare the stream at the change-overs with the rest of it."""
+    pairs = list(itertools.pairwise(actions))
+    changes = [(a, b) for a, b in pairs if a.tag != b.tag]
+    rest = [(a, b) for a, b in pairs if a.tag == b.tag]
+    at, target = np.array([c[0] for c in commands]) / 1e9, np.array([c[1] for c in commands])
+    velocity = np.diff(target) / np.maximum(np.diff(at), 1e-3)
+    steps, step_at = np.abs(np.diff(velocity)), at[2:]
+    near = np.zeros(len(steps), dtype=bool)
+    for a, b in changes:
+        near |= (step_at > a.at_ns / 1e9 - 0.05) & (step_at < b.at_ns / 1e9 + 0.25)
+    return Outcome(
+        gaps_s=np.array([(b.at_ns - a.at_ns) / 1e9 for a, b in changes]),
+        missed=sum(b.image - a.image - 1 for a, b in changes),
+        elsewhere_s=np.array([(b.at_ns - a.at_ns) / 1e9 for a, b in rest]),
+        skipped=sum(b.image - a.image - 1 for a, b in rest),
+        images=actions[-1].image - actions[0].image + 1,
+        twice=len(actions) - len({action.image for action in actions}),
+        step_m_s=float(steps[near].max(initial=0.0)),
+        step_elsewhere_m_s=float(steps[~near].max(initial=0.0)),
+        took_s=float(np.median(took_s)),
+    )
+
+
+def series(loop: ClosedLoop, witness: object, mode: SwitchMode, count: int, console: Console) -> Outcome:
+    """Switch `count` times and judge the stream meanwhile."""
+    first_action, first_command = len(witness.actions()), len(witness.commands())  # type: ignore[attr-defined]
+    took_s = []
+    for number in range(count):
+        view = loop.supervisor.view("inference")
+        assert view.choice is not None
+        other = "second" if view.choice.names["backend"] == "first" else "first"
+        took_s.append(loop.switch_inference(InferenceRequest(backend=other), mode, quiet).took_s)
+        console.log(f"{mode} {number + 1}/{count}: {took_s[-1]:.1f} s")
+    threading.Event().wait(0.5)  # the last one's own stream
+    actions = witness.actions()[first_action:]  # type: ignore[attr-defined]
+    return judge(actions, witness.commands()[first_command:], took_s)  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    """Run everything and print one table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--switches", type=int, default=50, metavar="N", help="warm switches at each rate")
+    parser.add_argument("--cold", type=int, default=5, metavar="N", help="cold switches at each rate")
+    parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 30.0], metavar="HZ", help="images per second")
+    arguments = parser.parse_args()
+    console = Console(width=150)
+    progress = Console(stderr=True)
+    table = Table(title="Change of the backend during motion")
+    heads = "rate, mode|switches|images missed|acted on twice|gap p50/p99/max [ms]|elsewhere p50/p99/max [ms]"
+    for head in (*heads.split("|"), "skipped elsewhere", "velocity step / elsewhere [m/s]", "call [s]"):
+        table.add_column(head)
+    for rate_hz in arguments.rates:
+        with tempfile.TemporaryDirectory() as scratch, moving_loop(Path(scratch), rate_hz) as (loop, witness):
+            for mode, count in (("warm", arguments.switches), ("cold", arguments.cold)):
+                if not count:
+                    continue
+                outcome = series(loop, witness, mode, count, progress)  # type: ignore[arg-type]
+
+                def spread(values_s: np.ndarray) -> str:
+                    return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, [50, 99, 100]) * 1e3)
+
+                table.add_row(
+                    f"{rate_hz:g} Hz, {mode}",
+                    str(len(outcome.gaps_s)),
+                    str(outcome.missed),
+                    str(outcome.twice),
+                    spread(outcome.gaps_s),
+                    spread(outcome.elsewhere_s),
+                    f"{outcome.skipped} of {outcome.images}",
+                    f"{outcome.step_m_s:.3f} / {outcome.step_elsewhere_m_s:.3f}",
+                    f"{outcome.took_s:.1f}",
+                )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

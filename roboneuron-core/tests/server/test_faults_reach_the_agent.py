@@ -1,0 +1,127 @@
+"""What an agent is told when modules die or freeze, and a stop from the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters, types
+from mcp.shared.exceptions import MCPDeprecationWarning
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+STATUS = "roboneuron://status"
+
+
+class Agent:
+    """A client of the older protocol era that has subscribed to the status."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    async def do(self, name: str, **arguments: Any) -> dict[str, Any]:
+        answer = await self.client.call_tool(name, arguments)
+        assert not answer.is_error, answer.content
+        return dict(answer.structured_content or {})
+
+    async def module(self, kind: str) -> dict[str, Any]:
+        status = await self.do("get_status")
+        return next(m for m in status["modules"] if m["module"] == kind)
+
+    async def until(self, fact: Callable[[], Awaitable[bool]], timeout_s: float) -> None:
+        with anyio.fail_after(timeout_s):
+            while not await fact():
+                await anyio.sleep(0.05)
+
+    async def until_health(self, kind: str, *words: str, timeout_s: float = 5.0) -> None:
+        async def is_so() -> bool:
+            return (await self.module(kind))["health"] in words
+
+        await self.until(is_so, timeout_s)
+
+
+def test_faults_are_told_recorded_and_survived(
+    serve_command: Callable[..., list[str]], server_environment: dict[str, str], tmp_path: Path
+) -> None:
+    updates: list[str] = []
+
+    async def on_message(message: Any) -> None:
+        if isinstance(message, types.ResourceUpdatedNotification):
+            updates.append(str(message.params.uri))
+
+    async def scenario(agent: Agent) -> None:
+        await agent.do("start_robot")
+        await agent.do("start_perception")
+        await agent.do("start_control")
+        await agent.do("start_inference", instruction="move on")
+        await agent.until_health("inference", "ok")
+        assert (await agent.module("inference"))["work_limit_s"] > 0
+
+        before = len(updates)
+        control = await agent.module("control")
+        os.kill(control["pid"], signal.SIGSTOP)
+        await agent.until_health("control", "silent", timeout_s=2.0)
+        assert len(updates) > before
+        assert set(updates) == {STATUS}
+        os.kill(control["pid"], signal.SIGCONT)
+        await agent.until_health("control", "ok")
+
+        perception = await agent.module("perception")
+        os.kill(perception["pid"], signal.SIGKILL)
+        await agent.until_health("perception", "exited", "starting", timeout_s=2.0)
+
+        async def is_back() -> bool:
+            now = await agent.module("perception")
+            return bool(now["ready"]) and now["pid"] != perception["pid"]
+
+        await agent.until(is_back, 30.0)
+        await agent.until_health("inference", "ok")
+
+        incidents = (await agent.do("list_incidents"))["incidents"]
+        found = {(i["module"], i["what"]) for i in incidents}
+        assert {("control", "silent"), ("perception", "exited"), ("perception", "restart")} <= found
+        exited = next(i for i in incidents if (i["module"], i["what"]) == ("perception", "exited"))
+        assert exited["status"]["exit"]["code"] == -9
+        assert len(exited["actions"]) > 2
+        assert len(exited["actions"][-1]["values"]) == 7
+        only = (await agent.do("list_incidents", module="control", entries=1))["incidents"]
+        assert [i["module"] for i in only] == ["control"]
+
+        logs = await agent.do("get_logs", module="inference", entries=3)
+        assert len(logs["entries"]) <= 3
+        assert Path(logs["path"]).exists()
+
+        estop = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--state", str(tmp_path / "state")]
+        run = await anyio.run_process([*estop, "--reason", "smoke"], env=server_environment)
+        assert b"latched" in run.stdout
+        for kind in ("robot", "control", "inference"):
+
+            async def is_stopped(kind: str = kind) -> bool:
+                return (await agent.module(kind))["emergency_stop"] is True
+
+            await agent.until(is_stopped, 2.0)
+        status = await agent.do("get_status")
+        assert status["emergency_stop"]
+        assert status["emergency_stop_cause"].endswith("at the command line: smoke")
+        assert subprocess.run([*estop, "--status"], env=server_environment, capture_output=True).returncode == 1
+        await anyio.run_process([*estop, "--reset"], env=server_environment)
+        assert not (await agent.do("get_status"))["emergency_stop"]
+
+    async def connect() -> None:
+        command = serve_command()
+        server = StdioServerParameters(command=command[0], args=command[1:], env=server_environment)
+        async with Client(server, mode="legacy", message_handler=on_message) as client:
+            with pytest.warns(MCPDeprecationWarning):
+                await client.session.subscribe_resource(STATUS)
+            await scenario(Agent(client))
+
+    anyio.run(connect)
+    audit = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
+    assert [a["tool"] for a in audit if "command line" in a["who"]] == ["estop", "reset_emergency_stop"]
