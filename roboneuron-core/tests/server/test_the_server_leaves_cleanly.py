@@ -15,6 +15,8 @@ import pytest
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 ServeCommand = Callable[..., list[str]]
+PATIENCE_S = 25.0
+"""Two seconds on an idle machine; the bound only has to tell a slow end from a hang."""
 
 
 class Wire:
@@ -105,8 +107,8 @@ def test_modules_end_with_the_server(serve_command: ServeCommand, server_environ
             wire.process.stdin.close()
         else:
             wire.process.send_signal(getattr(signal, end))
-        code = wire.process.wait(10)
-        wait_until(lambda: all(is_gone(pid) for pid in pids), 4.0, "all modules are gone")
+        code = wire.process.wait(PATIENCE_S)
+        wait_until(lambda: all(is_gone(pid) for pid in pids), 10.0, "all modules are gone")
         print(f"{end}: everything gone after {time.monotonic() - ended_s:.2f} s")
         assert code == (-9 if end == "SIGKILL" else 0)
 
@@ -123,8 +125,8 @@ def test_a_client_that_leaves_during_a_start_is_not_waited_for(
         assert wire.process.stdin is not None
         wire.process.stdin.close()
         started_s = time.monotonic()
-        assert wire.process.wait(10) == 0
-        assert time.monotonic() - started_s < 8.0
+        assert wire.process.wait(PATIENCE_S) == 0
+        assert time.monotonic() - started_s < PATIENCE_S
         children = subprocess.run(["ps", "--ppid", str(wire.process.pid)], capture_output=True, text=True, check=False)
         assert "python" not in children.stdout
 
@@ -147,7 +149,7 @@ def test_stdout_carries_json_rpc_only_and_tools_come_soon(
         wire.process.stdin.close()
         assert wire.process.stdout is not None
         wire.lines += wire.process.stdout.readlines()
-        assert wire.process.wait(10) == 0
+        assert wire.process.wait(PATIENCE_S) == 0
     assert len(wire.lines) >= 6
     for line in wire.lines:
         assert json.loads(line)["jsonrpc"] == "2.0"
