@@ -150,10 +150,37 @@ class SupervisorConfig(_Section):
     state_directory: str | None = Field(default=None, description="logs, latch and audit; XDG state when not given")
 
 
+class TokenConfig(_Section):
+    """One entry of `server.tokens`: where a bearer token is found, never the token itself."""
+
+    name: Name = Field(description="who holds it; for the audit")
+    role: Literal["viewer", "operator", "admin"] = Field(description="read; also move; also reset the emergency stop")
+    variable: str | None = Field(default=None, max_length=128, description="environment variable that holds it")
+    file: str | None = Field(default=None, description="or a file that only its owner can read")
+
+
 class ServerConfig(_Section):
     """`[server]`: how agents connect."""
 
     name: str = Field(default="roboneuron", description="server name that MCP clients see")
+    transport: Literal["stdio", "http"] = Field(default="stdio", description="http: streamable HTTP, at /mcp")
+    host: str = Field(default="127.0.0.1", min_length=1, max_length=253, description="address that http listens on")
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8765, description="port of http; 0: any free one")
+    allowed_hosts: tuple[str, ...] = Field(
+        default=(), strict=False, description="names that clients use for this machine, besides `host`"
+    )
+    allowed_origins: tuple[str, ...] = Field(
+        default=(), strict=False, description="web pages that may connect, such as https://panel.lan"
+    )
+    max_request_bytes: Annotated[int, Field(ge=1024, le=1 << 28)] = Field(
+        default=4 << 20, description="largest request over http"
+    )
+    max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
+        default=64, description="most tool calls at once; stops are always taken"
+    )
+    tokens: tuple[TokenConfig, ...] = Field(
+        default=(), strict=False, description="who may connect over http: tables of `name`, `role`, `variable`, `file`"
+    )
 
 
 class ExposeConfig(_Section):

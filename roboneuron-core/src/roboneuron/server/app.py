@@ -22,8 +22,8 @@ from mcp.server.subscriptions import ListenHandler
 from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError
-from roboneuron.gate import ADMIN
 from roboneuron.ros.environment import state_directory
+from roboneuron.server.access import holder_of
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.guard import Guard
@@ -37,7 +37,7 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import LineReader, LineWriter
-from roboneuron.server.stopping import LOCAL_AGENT, emergency_tools
+from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -59,10 +59,11 @@ CHANGES = NotificationOptions(tools_changed=True)
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
-    def __init__(self, request: ServerRequestContext[Any, Any], *, who: str = LOCAL_AGENT, role: str = ADMIN) -> None:
+    def __init__(self, request: ServerRequestContext[Any, Any]) -> None:
         self._request = request
-        self.who = who
-        self.role = role
+        holder = holder_of(request.request)
+        self.who = holder.who
+        self.role = holder.role
 
     async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
         """See `CallContext.run`."""
@@ -125,7 +126,8 @@ class Application:
                 *catalogue_tools(self.plugins),
                 *self.direct.tools(),
                 *record_tools(self.loop, self.guard.incidents),
-            ]
+            ],
+            most_calls=config.server.max_concurrent_calls,
         )
         self.direct.fill(self.tools)
         self.resources = Resources(self.loop, self._started_s)
@@ -162,7 +164,7 @@ class Application:
     def _build(self, name: str) -> Server[Any]:
         async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
             self.notices.remember(context)
-            return types.ListToolsResult(tools=self.tools.listing())
+            return types.ListToolsResult(tools=self.tools.listing(holder_of(context.request).role))
 
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams

@@ -309,6 +309,7 @@ def _stop_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
         handler=handler,
         destructive=True,
         open_world=True,
+        always=True,
     )
 
 
@@ -327,4 +328,5 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
         destructive=True,
         idempotent=True,
         open_world=True,
+        always=True,
     )

@@ -12,7 +12,9 @@ from typing import Any
 from mcp import types
 from pydantic import ValidationError
 
-from roboneuron.errors import InternalError, InvalidInputError, RoboNeuronError
+from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.gate.request import ADMIN
+from roboneuron.server.access import check_role, may_call
 from roboneuron.server.schema import Schema, check_arguments, input_schema, output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
@@ -20,9 +22,16 @@ log = logging.getLogger(__name__)
 
 
 class ToolRegistry:
-    """Tools in the order they were added; the one border between MCP and everything that is called."""
+    """Tools in the order they were added; the one border between MCP and everything that is called.
 
-    def __init__(self, tools: Iterable[Tool[Any]] = ()) -> None:
+    Args:
+        tools: the first ones.
+        most_calls: more calls at once are refused, whoever makes them; what stops something is never refused.
+    """
+
+    def __init__(self, tools: Iterable[Tool[Any]] = (), *, most_calls: int = 64) -> None:
+        self._most_calls = most_calls
+        self._calls = 0
         self._tools: dict[str, Tool[Any]] = {}
         self._output_schemas: dict[str, Schema] = {}
         self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
@@ -68,25 +77,33 @@ class ToolRegistry:
         self._derived = made
         return before != {name: shown for name, (tool, shown) in made.items() if tool.listed}
 
-    def listing(self) -> list[types.Tool]:
-        """What `tools/list` answers."""
-        listed = [shown for tool, shown in self._derived.values() if tool.listed]
+    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+        """What `tools/list` answers to clients of a role: what they may call."""
+        listed = [shown for tool, shown in self._derived.values() if tool.listed and may_call(role, tool)]
         return [
             *(
                 _described(tool, self._input_schema(tool), self._output_schemas[tool.name])
                 for tool in self._tools.values()
+                if may_call(role, tool)
             ),
             *listed,
         ]
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result."""
+        self._calls += 1
         try:
-            derived = self._derived.get(name)
-            if derived is not None:
-                answer = await derived[0].handler(arguments, context)
+            tool = self._find(name)
+            check_role(tool, context)
+            if self._calls > self._most_calls and not tool.always:
+                raise NotReadyError(
+                    f"{self._most_calls} calls are at work already, no more are taken.",
+                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
+                )
+            if isinstance(tool, DerivedTool):
+                answer = await tool.handler(arguments, context)
             else:
-                answer = await self._call_typed(name, arguments, context)
+                answer = await self._call_typed(tool, arguments, context)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", name, error.code, error)
             return _failure(error)
@@ -99,6 +116,8 @@ class ToolRegistry:
                     hint="The server's log has the details; get_status tells what is running.",
                 )
             )
+        finally:
+            self._calls -= 1
         structured = dict(answer.structured)
         content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
         content += [
@@ -107,10 +126,14 @@ class ToolRegistry:
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 
-    async def _call_typed(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        tool = self._tools.get(name)
+    def _find(self, name: str) -> Tool[Any] | DerivedTool:
+        derived = self._derived.get(name)
+        tool = derived[0] if derived is not None else self._tools.get(name)
         if tool is None:
             raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
+        return tool
+
+    async def _call_typed(self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext) -> Answer:
         checked = check_arguments(self._input_schema(tool), arguments)
         try:
             typed = tool.arguments.model_validate(checked)

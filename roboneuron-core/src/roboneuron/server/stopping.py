@@ -6,13 +6,10 @@ from typing import Any
 
 from pydantic import Field
 
-from roboneuron.gate.request import ADMIN
+from roboneuron.gate.request import ADMIN, VIEWER
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import EmergencyStopResult
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
-
-LOCAL_AGENT = "agent on stdio"
-"""The client of a stdio server: whoever started the server, so it has every role."""
 
 
 class EmergencyStopArguments(Arguments):
@@ -27,13 +24,15 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
 
     async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
         confirmed, took_s = await context.run(
-            lambda _: stop.latch(loop.config.namespace, who=LOCAL_AGENT, reason=arguments.reason)
+            lambda _: stop.latch(loop.config.namespace, who=context.who, reason=arguments.reason)
         )
         note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
         return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
 
     async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
-        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace, who=LOCAL_AGENT, role=ADMIN))
+        confirmed, took_s = await context.run(
+            lambda _: stop.reset(loop.config.namespace, who=context.who, role=context.role)
+        )
         note = "Nothing moves by itself; a running backend acts again on the next image."
         return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
 
@@ -52,6 +51,8 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             destructive=True,
             idempotent=True,
             open_world=True,
+            role=VIEWER,  # whoever sees the robot may stop it
+            always=True,
         ),
         Tool(
             name="reset_emergency_stop",
@@ -66,5 +67,6 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             destructive=True,
             idempotent=True,
             open_world=True,
+            role=ADMIN,
         ),
     ]

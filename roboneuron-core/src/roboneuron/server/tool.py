@@ -92,6 +92,8 @@ class Tool(Generic[A]):
         idempotent: a second call changes nothing more.
         open_world: reaches what this server does not control (the physical world counts).
         choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
+        role: least role of a caller; when empty, viewers may call what is read-only and operators everything else.
+        always: it stops something, so it is done however many calls are at work already.
     """
 
     name: str
@@ -105,6 +107,8 @@ class Tool(Generic[A]):
     idempotent: bool = False
     open_world: bool = False
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
+    role: str = ""
+    always: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,3 +133,5 @@ class DerivedTool:
     idempotent: bool = False
     open_world: bool = True
     listed: bool = True
+    role: str = ""
+    always: bool = False

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from roboneuron.errors import InvalidInputError
+from roboneuron.gate.request import VIEWER
+from roboneuron.server.access import check_role, may_call
 from roboneuron.server.direct.arguments import (
     Number,
     check_names,
@@ -29,9 +31,10 @@ def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedT
         with_schemas = take_flag(arguments, "schemas")
         query = arguments.get("query")
         words = _words(take_text(arguments, "query")) if query not in (None, "") else []
-        ranked = _rank(tools(), words)
+        mine = [tool for tool in tools() if may_call(context.role, tool)]
+        ranked = _rank(mine, words)
         found = [_entry(tool, with_schemas) for tool in ranked[:limit]]
-        return Answer(structured={"tools": found, "matching": len(ranked), "total": len(tools())})
+        return Answer(structured={"tools": found, "matching": len(ranked), "total": len(mine)})
 
     async def call(arguments: Mapping[str, Any], context: CallContext) -> Answer:
         check_names(arguments, ["tool", "arguments"])
@@ -41,6 +44,7 @@ def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedT
             near = [tool.name for tool in _rank(tools(), _words(name))[:3]]
             hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
+        check_role(found, context)
         answer = await found.handler(take_object(arguments, "arguments", required=False), context)
         return Answer(structured={"tool": name, "result": dict(answer.structured)}, pictures=answer.pictures)
 
@@ -96,6 +100,7 @@ def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedT
             ),
             output_schema=object_schema({"tool": {"type": "string"}, "result": {"type": "object"}}, ["tool", "result"]),
             handler=call,
+            role=VIEWER,  # what it calls has a role of its own
         ),
     ]
 

@@ -1,0 +1,128 @@
+"""The server over streamable HTTP: one Application for all clients, however many sessions there are."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import os
+import signal
+import socket
+from asyncio import get_running_loop
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import anyio
+import uvicorn
+
+from roboneuron import __version__
+from roboneuron.config import Config, ServerConfig
+from roboneuron.errors import ConfigurationError
+from roboneuron.server.app import Application
+from roboneuron.server.http_border import Border, security_settings
+from roboneuron.server.selection import check_configuration
+from roboneuron.server.tokens import TokenTable, read_tokens
+
+log = logging.getLogger(__name__)
+PATH = "/mcp"
+_MOST_SESSIONS = 256
+_SESSION_IDLE_S = 600.0
+_LEAVE_S = 1
+"""Open streams get this long when the server ends; then they are cut."""
+_MOST_CONNECTIONS = 512
+
+
+def serve_http(config: Config) -> None:
+    """Serve clients until SIGTERM or SIGINT comes; then stop everything.
+
+    Raises:
+        ConfigurationError, PlanningError: the configuration names what is not installed or does not fit, a token is
+            missing, or the address cannot be used.
+    """
+    section = config.server
+    tokens = read_tokens(section.tokens, os.environ)
+    security = security_settings(section)
+    with listen(section, tokens) as listener:
+        application = Application(config)
+        try:
+            check_configuration(config, application.plugins.current())
+            inner = application.server.streamable_http_app(
+                streamable_http_path=PATH,
+                max_request_body_size=section.max_request_bytes,
+                session_idle_timeout=_SESSION_IDLE_S,
+                max_sessions=_MOST_SESSIONS,
+                transport_security=security,
+            )
+            application.open()
+            anyio.run(_serve, application, Border(inner, security, tokens), listener)
+        finally:
+            application.close()
+
+
+def listen(section: ServerConfig, tokens: TokenTable) -> socket.socket:
+    """A socket bound to the configured address.
+
+    Raises:
+        ConfigurationError: the address is not loopback and there are no tokens, or it cannot be bound.
+    """
+    try:
+        found = socket.getaddrinfo(section.host, section.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise ConfigurationError(f"host = {section.host!r} is no address of this machine: {error}.") from error
+    family, kind, protocol, _, address = found[0]
+    if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
+        raise ConfigurationError(
+            f"host = {section.host!r} can be reached from other machines, and there is no token: anybody could move "
+            "the robot.",
+            hint="Add [[server.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
+        )
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except OSError as error:
+        listener.close()
+        raise ConfigurationError(
+            f"Port {section.port} of {section.host} cannot be used: {error.strerror}.",
+            hint="Does another server run? Choose another --port.",
+        ) from error
+    return listener
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to us: uvicorn would raise them again and end the process before the modules are stopped."""
+
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+
+async def _serve(application: Application, border: Border, listener: socket.socket) -> None:
+    application.notices.attach(get_running_loop())
+    server = _Server(
+        uvicorn.Config(
+            border,
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=_LEAVE_S,
+            limit_concurrency=_MOST_CONNECTIONS,
+            ws="none",
+        )
+    )
+
+    async def leave_on_signal() -> None:
+        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
+            async for number in signals:
+                log.info("Received %s: stopping everything.", signal.Signals(number).name)
+                server.should_exit = True
+                return
+
+    host, port = listener.getsockname()[:2]
+    shown = f"[{host}]" if ":" in host else host
+    log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())
+    async with anyio.create_task_group() as group:
+        group.start_soon(leave_on_signal)
+        await server.serve(sockets=[listener])
+        group.cancel_scope.cancel()

@@ -1,0 +1,80 @@
+"""Bearer tokens: read once from the environment or from files, compared in constant time, never shown."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import stat
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from roboneuron.config import TokenConfig
+from roboneuron.errors import ConfigurationError
+from roboneuron.server.access import Holder
+
+_LEAST_CHARACTERS = 16
+_NEW = "Make one with: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
+
+
+class TokenTable:
+    """Holders by token; keeps digests, not tokens."""
+
+    def __init__(self, entries: Sequence[tuple[str, Holder]]) -> None:
+        self._entries = [(_digest(token), holder) for token, holder in entries]
+
+    def __bool__(self) -> bool:
+        return bool(self._entries)
+
+    def find(self, token: str) -> Holder | None:
+        """Whose token it is; takes equally long whichever it is, or none."""
+        given, found = _digest(token), None
+        for digest, holder in self._entries:
+            if hmac.compare_digest(given, digest):
+                found = holder
+        return found
+
+
+def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> TokenTable:
+    """Read the tokens that the configuration points to.
+
+    Raises:
+        ConfigurationError: one is absent, short, readable by others, or the same as another; never shows it.
+    """
+    entries: list[tuple[str, Holder]] = []
+    for section in sections:
+        token = _read(section, environment)
+        where = f"The token of {section.name!r}"
+        if len(token) < _LEAST_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
+            raise ConfigurationError(
+                f"{where} must have at least {_LEAST_CHARACTERS} printable ASCII characters, none of them a space.",
+                hint=_NEW,
+            )
+        if any(token == other or section.name == holder.who for other, holder in entries):
+            raise ConfigurationError(f"{where} or its name is that of another entry of [[server.tokens]].", hint=_NEW)
+        entries.append((token, Holder(who=section.name, role=section.role)))
+    return TokenTable(entries)
+
+
+def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
+    where = f"The token of {section.name!r} in [[server.tokens]]"
+    if (section.variable is None) == (section.file is None):
+        raise ConfigurationError(f"{where} needs either `variable` or `file`.")
+    if section.variable is not None:
+        token = environment.get(section.variable, "")
+        if not token:
+            raise ConfigurationError(f"{where} is in {section.variable}, which is not set.", hint=_NEW)
+        return token
+    assert section.file is not None
+    path = Path(section.file).expanduser()
+    try:
+        with path.open(encoding="utf-8") as file:
+            if os.fstat(file.fileno()).st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ConfigurationError(f"{where}: others can read {path}.", hint=f"chmod 600 {path}")
+            return file.read(4096).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", errors="surrogateescape")).digest()
