@@ -25,6 +25,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parent))
 from switch_loop import Sent, moving_loop, quiet
 
+from roboneuron.errors import RoboNeuronError
 from roboneuron.server.loop import ClosedLoop, SwitchMode
 from roboneuron.server.selection import InferenceRequest
 
@@ -85,7 +86,11 @@ def series(loop: ClosedLoop, witness: object, mode: SwitchMode, count: int, cons
         view = loop.supervisor.view("inference")
         assert view.choice is not None
         other = "second" if view.choice.names["backend"] == "first" else "first"
-        took_s.append(loop.switch_inference(InferenceRequest(backend=other), mode, quiet).took_s)
+        try:
+            took_s.append(loop.switch_inference(InferenceRequest(backend=other), mode, quiet).took_s)
+        except RoboNeuronError as error:  # nothing changed, and that is what is counted
+            console.log(f"{mode} {number + 1}/{count} refused: {error.message}")
+            continue
         console.log(f"{mode} {number + 1}/{count}: {took_s[-1]:.1f} s")
     threading.Event().wait(0.5)  # the last one's own stream
     actions = witness.actions()[first_action:]  # type: ignore[attr-defined]
@@ -115,9 +120,9 @@ def main() -> None:
                 def spread(values_s: np.ndarray) -> str:
                     return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, [50, 99, 100]) * 1e3)
 
-                table.add_row(
+                row = [
                     f"{rate_hz:g} Hz, {mode}",
-                    str(len(outcome.gaps_s)),
+                    f"{len(outcome.gaps_s)} of {count}",
                     str(outcome.missed),
                     str(outcome.twice),
                     spread(outcome.gaps_s),
@@ -125,7 +130,9 @@ def main() -> None:
                     f"{outcome.skipped} of {outcome.images}",
                     f"{outcome.step_m_s:.3f} / {outcome.step_elsewhere_m_s:.3f}",
                     f"{outcome.took_s:.1f}",
-                )
+                ]
+                table.add_row(*row)
+                progress.log(" | ".join(row))
     console.print(table)
 
 

@@ -7,6 +7,8 @@ import random
 import shutil
 import sys
 import threading
+import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,8 +37,7 @@ start_timeout_s = 40.0
 stop_timeout_s = 3.0
 [plugins.numbering]
 rate_hz = {rate_hz}
-[plugins.first]
-tag = 1
+{camera_options}
 [plugins.second]
 tag = 2
 """
@@ -61,12 +62,14 @@ class Witness:
 
     def __init__(self, supervisor: Supervisor, namespace: str) -> None:
         from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
         self._lock = threading.Lock()
         self._actions: list[Sent] = []
         self._commands: list[tuple[int, float, float]] = []
+        self._joints: deque[tuple[float, float]] = deque(maxlen=2000)
         link = supervisor.link
 
         def on_action(message: Any, info: dict[str, Any]) -> None:
@@ -86,8 +89,13 @@ class Witness:
             with self._lock:
                 self._commands.append((int(info["source_timestamp"]), float(point.positions[0]), duration_s))
 
+        def on_joints(message: Any) -> None:
+            with self._lock:
+                self._joints.append((time.monotonic(), float(message.position[0])))
+
         qos = QoSProfile(depth=200)
         node = link.node
+        link.on_executor(lambda: node.create_subscription(JointState, f"/{namespace}/joint_states", on_joints, qos))
         link.on_executor(lambda: node.create_subscription(Float64MultiArray, f"/{namespace}/action", on_action, qos))
         link.on_executor(
             lambda: node.create_subscription(JointTrajectory, f"/{namespace}/joint_trajectory", on_command, qos)
@@ -97,6 +105,19 @@ class Witness:
         """All actions so far."""
         with self._lock:
             return list(self._actions)
+
+    def stood_s(self) -> float:
+        """For how long the first joint has stood, by what was measured; 0 while nothing is measured."""
+        with self._lock:
+            joints = list(self._joints)
+        if not joints or time.monotonic() - joints[-1][0] > 0.5:
+            return 0.0
+        since_s = joints[-1][0]
+        for at_s, position in reversed(joints):
+            if abs(position - joints[-1][1]) > 1e-7:
+                break
+            since_s = at_s
+        return joints[-1][0] - since_s
 
     def commands(self) -> list[tuple[int, float, float]]:
         """All joint commands so far: source time [ns], target of the first joint [m], duration [s]."""
@@ -114,8 +135,11 @@ def install(site: Path) -> None:
 
 
 @contextmanager
-def moving_loop(scratch: Path, rate_hz: float, more: str = "") -> Iterator[tuple[ClosedLoop, Witness]]:
-    """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end."""
+def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iterator[tuple[ClosedLoop, Witness]]:
+    """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
+
+    `camera_options` is TOML: more keys of the camera, and sections after it.
+    """
     if not (scratch / "site").exists():
         install(scratch / "site")
     site = str(scratch / "site")
@@ -124,7 +148,7 @@ def moving_loop(scratch: Path, rate_hz: float, more: str = "") -> Iterator[tuple
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
     os.environ["ROS_LOG_DIR"] = str(scratch / "ros")
     sys.path.insert(0, site)
-    config = parse_config(CONFIG.format(rate_hz=rate_hz) + more)
+    config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))
     supervisor = Supervisor(scratch / "state")
     try:
         loop = ClosedLoop(config, PluginCatalogue(), supervisor)

@@ -26,12 +26,21 @@ PEAK_M = 0.002
 PERIOD_S = 8.0
 
 
+def _read(path: str) -> str:
+    """What is wrong now; empty when nothing is."""
+    try:
+        return Path(path).read_text(encoding="ascii") if path else ""
+    except FileNotFoundError:
+        return ""
+
+
 class CameraOptions(BaseModel):
     """Options of the numbering camera."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     rate_hz: float = Field(default=10.0, gt=0, description="images per second")
+    mode_file: str = Field(default="", description='a file that says what is wrong: "frozen", "black", "small"')
 
 
 class BackendOptions(BaseModel):
@@ -44,6 +53,9 @@ class BackendOptions(BaseModel):
     step_s: float = Field(default=0.01, gt=0, description="shortest time between two actions")
     delay_s: float = Field(default=0.0, ge=0, description="time that a prediction takes")
     hang_file: str = Field(default="", description="a prediction lasts for as long as this file exists")
+    mode_file: str = Field(
+        default="", description='a file that says what is wrong: "raise", "hang", or how long to wait [ms]'
+    )
     fail_file: str = Field(default="", description="a prediction fails while this file exists")
 
 
@@ -52,7 +64,9 @@ class NumberingCamera:
 
     def __init__(self, config: CameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
         self._topics, self._camera = topics, cameras[0]
-        self._period_s = 1.0 / (config or CameraOptions()).rate_hz
+        self._options = config or CameraOptions()
+        self._period_s = 1.0 / self._options.rate_hz
+        self._newest: Frame | None = None
         self._number = 0
 
     def open(self) -> None:
@@ -67,11 +81,17 @@ class NumberingCamera:
 
         self._number += 1
         time.sleep(max(0.0, self._start_s + self._number * self._period_s - time.monotonic()))
-        image = np.zeros((self._camera.height, self._camera.width, 3), dtype=np.uint8)
-        image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
-        return Frame(
+        mode = _read(self._options.mode_file)
+        if mode == "frozen" and self._newest is not None:
+            return self._newest
+        scale = 2 if mode == "small" else 1
+        image = np.zeros((self._camera.height // scale, self._camera.width // scale, 3), dtype=np.uint8)
+        if mode != "black":
+            image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
+        self._newest = Frame(
             camera=self._camera.name, image=image, stamp_ns=self._topics.now_ns(), frame_id=self._camera.frame_id
         )
+        return self._newest
 
     def close(self) -> None:
         """Nothing to release."""
@@ -97,6 +117,12 @@ class NamingBackend:
             time.sleep(0.01)
         if options.fail_file and Path(options.fail_file).exists():
             raise ValueError("the model fell over")
+        while (mode := _read(options.mode_file)) == "hang":
+            time.sleep(0.01)
+        if mode == "raise":
+            raise ValueError("the model fell over")
+        if mode:
+            time.sleep(int(mode) / 1e3)
         if options.delay_s:
             time.sleep(options.delay_s)
         frame = observation.frames["primary"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from typing import cast
 
@@ -31,7 +33,8 @@ from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image
 
 _WAIT_S = 0.1
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
-"""A backend is stalled when it takes three times as long as it ever did; before the first prediction, after 5 s."""
+_RECENT = 20
+"""A backend is stalled when it takes three times as long as it usually does; before the first prediction, after 5 s."""
 _PACE = 0.8
 """The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
@@ -52,7 +55,7 @@ class InferenceModule(Module):
         self._turn = Turn()
         self._next_s = 0.0
         self._shadow_count = 0
-        self._longest_s = 0.0
+        self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._has_acted = False
 
     def configure(self) -> None:
@@ -205,8 +208,8 @@ class InferenceModule(Module):
         chunk = self._backend.predict(replace(observation, instruction=instruction))
         took_s = time.monotonic() - started_s
         self.status.set_value("inference_ms", took_s * 1e3)
-        self._longest_s = max(self._longest_s, took_s)
-        self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * self._longest_s, 2.0 * chunk.step_s)
+        self._took_s.append(took_s)
+        self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)
         self._worker.progress()
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))

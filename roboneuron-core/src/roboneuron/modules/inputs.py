@@ -45,6 +45,7 @@ class NewestInputs:
         self._status = status
         self._now_ns = now_ns
         self._frames: dict[str, Frame] = {}
+        self._shapes: dict[str, tuple[int, ...]] = {}
         self._joints: JointSample | None = None
         self._ee_pose: Pose | None = None
         self._fresh = threading.Condition()
@@ -59,6 +60,7 @@ class NewestInputs:
         def on_image(message: Image) -> None:
             try:
                 frame = frame_from_message(message, camera.name, camera)
+                self._check_size(role, frame)
             except InvalidInputError as error:
                 self._status.dropped.add("bad_image")
                 self._status.set_error(error)
@@ -71,6 +73,17 @@ class NewestInputs:
             time.sleep(_HAND_OVER_S)
 
         return on_image
+
+    def _check_size(self, role: str, frame: Frame) -> None:
+        """A camera that changes its size is another camera: what was calibrated for it no longer holds."""
+        shape = frame.image.shape
+        expected = self._shapes.setdefault(role, shape)
+        if shape != expected:
+            raise InvalidInputError(
+                f"Camera {frame.camera!r} changed its image size from {expected[1]}x{expected[0]} to "
+                f"{shape[1]}x{shape[0]}; its images are not acted on.",
+                hint="Restart perception and inference if that is meant.",
+            )
 
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""

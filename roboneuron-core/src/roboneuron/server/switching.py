@@ -30,8 +30,9 @@ log = logging.getLogger(__name__)
 _LOOKS = 3
 """So many reports with a new shadow action are compared, one each 0.2 s."""
 _SHADOW_S = 5.0
-_MARGIN_S = 0.4
-"""Both processes are told the moment this long before it comes; a parameter call takes 2 to 50 ms."""
+_MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
+"""Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
+now (2 to 50 ms, hundreds on an overloaded machine)."""
 _LATEST_S = 0.05
 _FIRST_ACTION_S = 1.0
 _FIND_S = 5.0
@@ -120,11 +121,10 @@ class WarmSwitch:
         """Agree on the moment, wait for the first action after it, and make the new one the inference module."""
         old = self._supervisor.slot("inference")
         clients = [self._client(old), self._client(standby)]
-        for client in clients:
-            client.find(_FIND_S)
+        margin_s = self._probe(clients)
         report = self._healthy(standby)
         latency_s = (report.latency_p99_ms or report.latency_ms or 0.0) / 1e3
-        moment_ns = time.time_ns() + int(_MARGIN_S * 1e9)
+        moment_ns = time.time_ns() + int(margin_s * 1e9)
         self._on_stage("inference: changing over")
         try:
             # Until the old one's chunk would end, or the new one's first action is due: no hole between the two.
@@ -145,6 +145,15 @@ class WarmSwitch:
         except BaseException as error:
             self._roll_back(clients, error)
             raise
+
+    def _probe(self, clients: Sequence[ParameterClient]) -> float:
+        """Tell both what they know already, and return the margin [s] that this needs."""
+        started_s = time.monotonic()
+        for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
+            refused = client.set(values, _FIND_S)
+            if refused:
+                raise StateError(f"A change-over was refused: {refused}.")
+        return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
     def _await_first_action(self, standby: Slot, moment_ns: int, latency_s: float) -> None:
         bound_s = (moment_ns - time.time_ns()) / 1e9 + _FIRST_ACTION_S + 3 * latency_s
