@@ -8,6 +8,7 @@ from typing import Any
 
 from roboneuron.contract import JointSample, RobotProfile
 from roboneuron.errors import RefusedError
+from roboneuron.gate.motion.joint_space import braking_velocity
 
 TOLERANCE = 1e-6
 """Relative; limits are printed and parsed as decimals on the way."""
@@ -18,13 +19,26 @@ JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointStat
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointLimit:
-    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has none."""
+    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has none.
+
+    Attributes:
+        braking: offset and deceleration of a joint that is slower near a position limit; None for others.
+    """
 
     lower: float
     upper: float
     velocity: float
     acceleration: float
     effort: float
+    braking: tuple[float, float] | None = None
+
+    def fastest(self, start: float, end: float) -> float:
+        """Fastest velocity of a step from `start` to `end`, so that the joint can brake before its limit after it."""
+        if self.braking is None:
+            return self.velocity
+        return min(
+            self.velocity, braking_velocity(self.upper - end if end > start else end - self.lower, *self.braking)
+        )
 
 
 def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
@@ -39,6 +53,9 @@ def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
                 velocity=float(arrays.velocity[i]),
                 acceleration=float(arrays.acceleration[i]),
                 effort=float(arrays.effort[i]),
+                braking=None
+                if arrays.braking_offset is None or arrays.braking_deceleration is None
+                else (float(arrays.braking_offset[i]), float(arrays.braking_deceleration[i])),
             )
     if profile.gripper is not None:
         ends = sorted((profile.gripper.closed_position, profile.gripper.open_position))
@@ -119,10 +136,12 @@ def _check_trajectory(limits: dict[str, JointLimit], message: Any, joints: Joint
             raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
         for name, start, end in zip(names, before, point.positions, strict=True):
             needed = abs(end - start) / (at_s - before_s) if at_s > before_s else 0.0
-            if needed > limits[name].velocity * (1.0 + TOLERANCE):
+            allowed = limits[name].fastest(start, end)
+            if needed > allowed * (1.0 + TOLERANCE):
+                near = " so near to its limit" if allowed < limits[name].velocity else ""
                 raise RefusedError(
-                    f"{where}{name} would move at {needed:.4g} per second, allowed is {limits[name].velocity:.4g}.",
-                    hint="Give the step more time.",
+                    f"{where}{name} would move at {needed:.4g} per second, allowed is {allowed:.4g}{near}.",
+                    hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
                 )
         before, before_s = list(point.positions), at_s
 

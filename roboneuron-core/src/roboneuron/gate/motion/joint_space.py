@@ -13,6 +13,8 @@ F64 = NDArray[np.float64]
 
 SLACK = 1e-6
 """Relative: what rounding and decimals on the way may add to a limit."""
+_NOTHING = 1e-9
+"""A way this short [rad or m] is rounding, not motion."""
 
 
 def braking_velocity(distance: float, offset: float, deceleration: float, step_s: float = 0.0) -> float:
@@ -82,7 +84,7 @@ class JointSpace:
         """Largest share of `change` that every joint can go in `step_s`, and the joint that sets it."""
         share, joint = 1.0, -1
         for i, (begin, way) in enumerate(zip(start.tolist(), change.tolist(), strict=True)):
-            if way == 0.0:
+            if abs(way) <= _NOTHING:
                 continue
             possible = self.fastest(i, begin, way > 0.0, step_s) * step_s / abs(way)
             if possible < share * (1.0 - SLACK):

@@ -1,0 +1,84 @@
+"""The FR3's position-dependent velocity limits, as its package states them and as core applies them on both paths."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rn_controller_urdf.controller import UrdfController
+from rn_robot_fr3.limits import ARM_JOINTS, joint_limits, velocity_bounds
+from rn_robot_fr3.profile import profile
+from roboneuron.config import LimitsConfig
+from roboneuron.contract import JointCommand, JointSample, PostureInspector
+from roboneuron.errors import RefusedError
+from roboneuron.gate.joints import check_joints
+from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.gate.motion.joint_space import JointSpace, braking_velocity
+
+
+def test_core_brakes_as_the_official_formula_does() -> None:
+    limits = joint_limits()
+    assert limits.braking_offset is not None
+    assert limits.braking_deceleration is not None
+    for position in np.random.default_rng(5).uniform(limits.lower, limits.upper, (200, 7)):
+        lowest, highest = velocity_bounds(position)
+        for i in range(7):
+            brake = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
+            fastest = float(limits.velocity[i])
+            up = min(fastest, braking_velocity(float(limits.upper[i] - position[i]), *brake))
+            down = min(fastest, braking_velocity(float(position[i] - limits.lower[i]), *brake))
+            assert (up, -down) == pytest.approx((highest[i], lowest[i]), abs=1e-9)
+
+
+def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
+    """Somebody asks joint 2 to go on by 0.2 rad, 30 times a second, for five seconds; the arm follows exactly."""
+    robot = profile()
+    controller = UrdfController(None, robot)
+    controller.load()
+    assert isinstance(controller, PostureInspector)
+    free = LimitsConfig(max_step_m=1.0, max_step_rad=3.0, max_speed_m_s=3.0, max_turn_rad_s=10.0)
+    rules = motion_rules(free.model_copy(update={"on_position": "scale", "on_workspace": "scale"}), robot)
+    rules = type(rules)(reactions=rules.reactions)  # the joints' limits alone
+    limiter = MotionLimiter(rules, robot, controller.forward, controller.inspect)
+    space, position, speeds = JointSpace(robot.limits, 7), robot.home_rad.copy(), []
+    assert robot.limits is not None
+    for step in range(150):
+        asked = position.copy()
+        asked[1] += 0.2
+        sample = JointSample(names=ARM_JOINTS, position=position)
+        verdict = limiter.limit(JointCommand(names=ARM_JOINTS, position=asked, duration_s=1 / 30), sample, step / 30)
+        assert isinstance(verdict.command, JointCommand), verdict.reason
+        speed = (verdict.command.position[1] - position[1]) * 30
+        assert speed <= space.fastest(1, float(position[1]), True, 1 / 30) * (1 + 1e-5)
+        assert speed <= velocity_bounds(verdict.command.position)[1][1] + 1e-5
+        position = verdict.command.position
+        speeds.append(speed)
+    assert max(speeds) > 1.5
+    assert speeds[-1] < 0.01
+    assert robot.limits.upper[1] - 0.02 < position[1] < robot.limits.upper[1]
+
+
+def test_direct_trajectories_are_held_to_the_same_bound() -> None:
+    robot = profile()
+    start = JointSample(names=ARM_JOINTS, position=robot.home_rad)
+
+    def message(target: float, seconds: int) -> SimpleNamespace:
+        positions = robot.home_rad.copy()
+        positions[1] = target
+        point = SimpleNamespace(
+            positions=positions.tolist(),
+            velocities=[],
+            accelerations=[],
+            effort=[],
+            time_from_start=SimpleNamespace(sec=seconds, nanosec=0),
+        )
+        return SimpleNamespace(joint_names=list(ARM_JOINTS), points=[point])
+
+    check_joints(robot, message(1.0, 1), start)
+    check_joints(robot, message(1.76, 20), start)
+    with pytest.raises(RefusedError, match="so near to its limit"):
+        check_joints(robot, message(1.76, 2), start)
+    with pytest.raises(RefusedError, match="farther from the limit"):
+        check_joints(robot, message(1.7836, 100), start)
