@@ -1,6 +1,7 @@
 """The closed loop on the simulated FR3, its model in process, then served, then killed, then in process again.
 
     loop.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--checkpoint DIRECTORY]
+    loop.py --stand-in          # the same without SGLang: its stand-in answers at once, with tokens of its own
 
 An MCP client as any other; a ROS node beside it looks at the topics from outside. Exits with 1 when something is off.
 """
@@ -25,6 +26,7 @@ from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
 from rn_backend_openvla.tiny import STATISTICS_KEY, make_tiny
+from rn_runtime_sglang.standin.site import write_site
 from roboneuron.demo.agent import Agent, module_status
 from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
@@ -64,6 +66,7 @@ python = {python}
 device = {device}
 timeout_s = 10.0  # a busy CPU; keep it below 2 on a robot
 start_timeout_s = 580.0
+environment = {environment}
 """
 
 
@@ -206,11 +209,13 @@ async def run(options: argparse.Namespace, directory: Path) -> bool:
         "checkpoint": str(checkpoint),
         "state": str(directory / "state"),
         "key": STATISTICS_KEY,
-        "python": str(options.python.absolute()),
+        "python": str((options.python or Path(sys.executable)).absolute()),
         "device": options.device,
     }
+    table = f'{{ PYTHONPATH = "{write_site(directory / "site")}" }}' if options.stand_in else "{}"
     path = directory / "roboneuron.toml"
-    path.write_text(_CONFIGURATION.format(**{k: json.dumps(v) for k, v in told.items()}), encoding="utf-8")
+    values = {name: json.dumps(value) for name, value in told.items()}
+    path.write_text(_CONFIGURATION.format(**values, environment=table), encoding="utf-8")
     server = StdioServerParameters(
         command=sys.executable,
         args=["-m", "roboneuron.cli.main", "serve", "--config", str(path)],
@@ -246,7 +251,9 @@ class PatientAgent(Agent):
 def main() -> int:
     """Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--python", type=Path, required=True)
+    server = parser.add_mutually_exclusive_group(required=True)
+    server.add_argument("--python", type=Path)
+    server.add_argument("--stand-in", action="store_true")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--checkpoint", type=Path)
     options = parser.parse_args()
