@@ -24,7 +24,6 @@ from rn_controller_urdf.refusals import (
     shortest_duration_s,
 )
 from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
-from roboneuron.contract.rotation import quaternion_from_matrix
 from roboneuron.errors import StateError, UnsafeError
 
 F64 = NDArray[np.float64]
@@ -41,7 +40,7 @@ def _pose(viewer: InverseKinematics, position: F64, stamp_ns: int) -> Pose:
     pose = viewer.place(position)
     return Pose(
         position_m=np.array(pose.translation),
-        quaternion_xyzw=quaternion_from_matrix(pose.rotation),
+        quaternion_xyzw=viewer.quaternion(pose),
         stamp_ns=stamp_ns,
     )
 

@@ -60,6 +60,11 @@ class InverseKinematics:
         self._pin.forwardKinematics(model.kinematics, self._data, self._chain_positions(position))
         return self._pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame).copy()
 
+    def quaternion(self, pose: Any) -> F64:
+        """Unit quaternion (4,) x y z w with w >= 0 of a pose."""
+        values: F64 = np.array(self._pin.Quaternion(pose.rotation).coeffs())
+        return values if values[3] >= 0.0 else -values
+
     def smallest_singular_value(self, position: F64, *, track_rotation: bool = True) -> float:
         """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad per joint unit."""
         model, pin = self._model, self._pin
