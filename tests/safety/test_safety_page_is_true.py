@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 from rn_robot_fr3.profile import profile
-
 from roboneuron.config import LimitsConfig, parse_config
 from roboneuron.gate.motion import LIMITS, motion_rules
 
