@@ -22,8 +22,8 @@ from roboneuron.server.tool import Answer, CallContext, DerivedTool
 LIMIT = Number(text="Most tools to return.", low=1, high=50, default=10, integer=True)
 
 
-def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedTool]:
-    """The pair, over whatever `tools` returns at the time of the call."""
+def directory_tools(tools: Callable[[], Mapping[str, DerivedTool]]) -> list[DerivedTool]:
+    """The pair, over whatever `tools` returns, by name, at the time of the call."""
 
     async def find(arguments: Mapping[str, Any], context: CallContext) -> Answer:
         check_names(arguments, ["query", "schemas", "limit"])
@@ -31,7 +31,7 @@ def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedT
         with_schemas = take_flag(arguments, "schemas")
         query = arguments.get("query")
         words = _words(take_text(arguments, "query")) if query not in (None, "") else []
-        mine = [tool for tool in tools() if may_call(context.role, tool)]
+        mine = [tool for tool in tools().values() if may_call(context.role, tool)]
         ranked = _rank(mine, words)
         found = [_entry(tool, with_schemas) for tool in ranked[:limit]]
         return Answer(structured={"tools": found, "matching": len(ranked), "total": len(mine)})
@@ -39,9 +39,9 @@ def directory_tools(tools: Callable[[], Sequence[DerivedTool]]) -> list[DerivedT
     async def call(arguments: Mapping[str, Any], context: CallContext) -> Answer:
         check_names(arguments, ["tool", "arguments"])
         name = take_text(arguments, "tool")
-        found = next((tool for tool in tools() if tool.name == name), None)
+        found = tools().get(name)
         if found is None:
-            near = [tool.name for tool in _rank(tools(), _words(name))[:3]]
+            near = [tool.name for tool in _rank(list(tools().values()), _words(name))[:3]]
             hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
         check_role(found, context)

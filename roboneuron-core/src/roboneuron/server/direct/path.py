@@ -61,7 +61,7 @@ class DirectPath:
         )
         self._exposure = Exposure()
         self._found: tuple[Exposed, ...] = ()
-        self._all: list[DerivedTool] = []
+        self._all: dict[str, DerivedTool] = {}
         self._graph = LiveGraph(config, self.traffic, self._on_found)
 
     def tools(self) -> list[Tool[Any]]:
@@ -123,9 +123,9 @@ class DirectPath:
         hidden = {tool.name for tool in fixed}
         plain = [e for e in endpoints if not e.hidden]
         derived = derive_tools(plain, self._access, taken | hidden)
-        self._all = [*fixed, *derived]
+        self._all = {tool.name: tool for tool in (*fixed, *derived)}
         if len(derived) <= config.direct.listed_tools:
-            return self._all
+            return list(self._all.values())
         unlisted = [replace(tool, listed=False) for tool in derived]
         return [*fixed, *directory_tools(lambda: self._all), *unlisted]
 
