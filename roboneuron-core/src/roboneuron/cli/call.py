@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from mcp import Client, types
+from roboneuron.cli import connection
 
-TOKEN_VARIABLE = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token for `--url`."""
+if TYPE_CHECKING:
+    from mcp import types
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -23,9 +21,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--then", nargs=2, action="append", default=[], metavar=("TOOL", "JSON"), help="call another one after it"
     )
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--config", type=Path, metavar="FILE", help="spawn a server with this roboneuron.toml")
-    where.add_argument("--url", help=f"a running server, such as http://127.0.0.1:8000/mcp; token in {TOKEN_VARIABLE}")
+    connection.add_arguments(parser)
     parser.add_argument("--images", type=Path, metavar="FOLDER", help="save the images of the answer here")
 
 
@@ -51,7 +47,7 @@ def _parse(text: str) -> dict[str, Any]:
 
 
 async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, Any]]]) -> int:
-    async with _connect(arguments) as client:
+    async with connection.connect(arguments) as client:
         for tool, values in calls:
             answer = await client.call_tool(tool, values, progress_callback=_show_progress)
             if answer.is_error:
@@ -61,24 +57,6 @@ async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, Any]]
             if arguments.images is not None:
                 _save_images(answer, arguments.images, tool)
     return 0
-
-
-def _connect(arguments: Namespace) -> Client:
-    from mcp import Client, StdioServerParameters  # heavy
-
-    if arguments.url is None:
-        command = ["-P", "-m", "roboneuron.cli.main", "serve", "--log-level", "error"]
-        if arguments.config is not None:
-            command += ["--config", str(arguments.config)]
-        return Client(StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ)))
-    token = os.environ.get(TOKEN_VARIABLE)
-    if token is None:
-        return Client(arguments.url)
-    import httpx2  # heavy; the client library of mcp 2
-    from mcp.client.streamable_http import streamable_http_client  # heavy
-
-    headers = {"Authorization": f"Bearer {token}"}
-    return Client(streamable_http_client(arguments.url, http_client=httpx2.AsyncClient(headers=headers)))
 
 
 async def _show_progress(progress: float, total: float | None, message: str | None) -> None:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron.cli import connection
+
+if TYPE_CHECKING:
+    from mcp.types import Tool
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -12,9 +17,7 @@ def configure(parser: ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="the answer of tools/list, schemas included")
     form.add_argument("--markdown", action="store_true", help="the reference page docs/tools.md")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it"
-    )
+    connection.add_arguments(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -24,14 +27,7 @@ def run(arguments: Namespace) -> int:
 
         print(tools_reference(), end="")
         return 0
-    from roboneuron.config import load_config
-    from roboneuron.server.app import Application  # heavy
-
-    application = Application(load_config(arguments.config))
-    try:
-        listing = application.tools.listing()
-    finally:
-        application.close()
+    listing = _listing(arguments)
     if arguments.json:
         print(
             json.dumps([tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listing], indent=2)
@@ -41,3 +37,24 @@ def run(arguments: Namespace) -> int:
     for tool in listing:
         print(f"{tool.name:<{width}}  {tool.title}")
     return 0
+
+
+def _listing(arguments: Namespace) -> list[Tool]:
+    """Of a running server, which may hold tools back from a role; or of a configuration."""
+    if arguments.url is not None:
+        import anyio  # heavy
+
+        return anyio.run(_ask, arguments)
+    from roboneuron.config import load_config
+    from roboneuron.server.app import Application  # heavy
+
+    application = Application(load_config(arguments.config))
+    try:
+        return application.tools.listing()
+    finally:
+        application.close()
+
+
+async def _ask(arguments: Namespace) -> list[Tool]:
+    async with connection.connect(arguments) as client:
+        return (await client.list_tools()).tools

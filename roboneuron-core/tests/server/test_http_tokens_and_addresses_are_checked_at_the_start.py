@@ -1,0 +1,96 @@
+"""What a server over HTTP refuses before it starts anything; nothing is spawned here."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from roboneuron.cli.serve import configure, with_server
+from roboneuron.config import Config, TokenConfig, parse_config
+from roboneuron.errors import ConfigurationError
+from roboneuron.server.http import listen, serve_http
+from roboneuron.server.http_border import security_settings
+from roboneuron.server.tokens import TokenTable, read_tokens
+
+GOOD = "a-token-of-sufficient-length"
+
+
+def config(server: str) -> Config:
+    return parse_config(f'[robot]\nname = "none"\n[server]\ntransport = "http"\nport = 0\n{server}')
+
+
+@pytest.mark.parametrize("server", ['host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]', 'host = "::"'])
+def test_an_address_for_others_needs_a_token(server: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"token|allowed_hosts"):
+        serve_http(config(server))
+    with pytest.raises(ConfigurationError, match="anybody could move the robot"):
+        listen(config('host = "0.0.0.0"').server, TokenTable([]))
+
+
+def test_with_a_token_it_listens_for_others() -> None:
+    tokens = read_tokens((TokenConfig(name="lab", role="viewer", variable="T"),), {"T": GOOD})
+    with listen(config('host = "0.0.0.0"').server, tokens) as listener:
+        assert listener.getsockname()[1] > 0
+
+
+def test_listening_everywhere_needs_the_names_of_this_machine() -> None:
+    with pytest.raises(ConfigurationError, match="allowed_hosts"):
+        security_settings(config('host = "0.0.0.0"').server)
+    named = security_settings(config('host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]').server)
+    assert {"robot.lan", "robot.lan:*"} <= set(named.allowed_hosts)
+
+
+def test_a_port_in_use_is_named() -> None:
+    with listen(config("").server, TokenTable([])) as first:
+        first.listen()
+        section = config("").server.model_copy(update={"port": first.getsockname()[1]})
+        with pytest.raises(ConfigurationError, match=f"Port {section.port} of 127.0.0.1 cannot be used"):
+            listen(section, TokenTable([]))
+
+
+@pytest.mark.parametrize("token", ["", "short", "with space in the middle of it", "ümläuts-are-not-in-headers"])
+def test_bad_tokens_are_refused_and_not_shown(token: str) -> None:
+    with pytest.raises(ConfigurationError) as refusal:
+        read_tokens((TokenConfig(name="lab", role="viewer", variable="T"),), {"T": token})
+    assert "'lab'" in str(refusal.value)
+    assert not token or token not in str(refusal.value)
+
+
+def test_a_token_is_in_one_place_and_of_one_holder() -> None:
+    section = TokenConfig(name="lab", role="viewer", variable="T")
+    with pytest.raises(ConfigurationError, match="either `variable` or `file`"):
+        read_tokens((TokenConfig(name="lab", role="viewer"),), {})
+    with pytest.raises(ConfigurationError, match="another entry"):
+        read_tokens((section, TokenConfig(name="other", role="admin", variable="T")), {"T": GOOD})
+    with pytest.raises(ConfigurationError, match=r"unknown key 'server\.tokens\.0\.token'"):
+        config('[[server.tokens]]\nname = "lab"\nrole = "admin"\ntoken = "written down"')
+
+
+def test_a_file_with_a_token_is_only_for_its_owner(tmp_path: Path) -> None:
+    file = tmp_path / "token"
+    file.write_text(GOOD + "\n")
+    section = TokenConfig(name="lab", role="operator", file=str(file))
+    file.chmod(0o644)
+    with pytest.raises(ConfigurationError, match="others can read"):
+        read_tokens((section,), {})
+    file.chmod(0o600)
+    table = read_tokens((section,), {})
+    holder = table.find(GOOD)
+    assert holder is not None
+    assert (holder.who, holder.role) == ("lab", "operator")
+    assert table.find(GOOD + "x") is None
+    assert GOOD not in repr(vars(table))
+
+
+def test_the_command_line_goes_before_the_file() -> None:
+    parser = argparse.ArgumentParser()
+    configure(parser)
+    base = parse_config('[robot]\nname = "none"\n')
+    chosen = with_server(base, parser.parse_args(["--transport", "http", "--port", "9000"])).server
+    assert (chosen.transport, chosen.host, chosen.port) == ("http", "127.0.0.1", 9000)
+    with pytest.raises(ConfigurationError, match="--transport http"):
+        with_server(base, parser.parse_args(["--port", "9000"]))
+    with pytest.raises(ConfigurationError, match="70000"):
+        with_server(base, parser.parse_args(["--transport", "http", "--port", "70000"]))
