@@ -7,14 +7,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
 from roboneuron.config import Config
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.restarts import Restarts
-from roboneuron.supervisor.shared_memory import SHARED_MEMORY
 from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.view import ModuleView
 from roboneuron.supervisor.watch import Health, Watch, assess
@@ -172,19 +170,3 @@ def test_a_stop_ends_a_pending_restart(
     wait_until(lambda: not made.cancel("perception"), 3.0, "it is given up")
     assert supervisor.view("perception").phase == "exited"
     assert told == []
-
-
-@pytest.mark.ros
-@pytest.mark.timeout(60)
-def test_the_next_server_removes_what_a_killed_one_left(tmp_path: Path) -> None:
-    """The file of a dead server names a segment that nobody locks, and one that does not exist."""
-    name = f"fastrtps_{os.getpid():016x}"
-    files = [SHARED_MEMORY / name, SHARED_MEMORY / f"{name}_el"]
-    for file in files:
-        file.touch()
-    ledger = tmp_path / "segments-999999999.txt"
-    ledger.write_text(f"{name}\nfastrtps_gone\n")
-    supervisor = Supervisor(tmp_path)
-    supervisor.open()
-    supervisor.close()
-    assert not any(file.exists() for file in (*files, ledger))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +19,6 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
 from roboneuron.supervisor.ending import KILL_S, deactivate, end_processes
 from roboneuron.supervisor.health import Report, StatusBoard
-from roboneuron.supervisor.ledger import Ledger
 from roboneuron.supervisor.logs import run_directory
 from roboneuron.supervisor.process import ModuleProcess, Spawner
 from roboneuron.supervisor.slot import Choice, Phase, Slot
@@ -68,7 +66,6 @@ class Supervisor:
         self._spawner = Spawner()
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
         self._beside: list[Slot] = []
-        self._ledger = Ledger(state_directory)
         self._order = count(1)
         self._closed = False
 
@@ -78,8 +75,7 @@ class Supervisor:
         return self._connection.link()
 
     def open(self) -> None:
-        """Clean up after servers that crashed, and begin to join the ROS graph in the background; returns at once."""
-        self._ledger.clean()
+        """Begin to join the ROS graph in the background; returns at once."""
         self._connection.begin()
 
     def start(
@@ -268,7 +264,6 @@ class Supervisor:
         self.stop_all()
         self._connection.close()
         self._spawner.close()
-        self._ledger.close()
 
     def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
         return ModuleSettings(
@@ -298,7 +293,6 @@ class Supervisor:
             slot.process = self._spawn(slot, settings, python)
             bringup = Bringup(slot, slot.process, settings, self.link, self._board, self.changes, on_stage)
             bringup.run(deadline_s)
-            self._ledger.note(slot.process.pid, os.getpid())
             self._connection.segments.add(slot.process.note_segments())
             phase = "running"
         finally:
