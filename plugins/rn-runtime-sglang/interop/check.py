@@ -169,7 +169,7 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
     shutil.copytree(GOLDEN, directory / "golden")
     write_tokenizer(directory / "golden" / "tokenizer.json")
     tiny, golden = Fixture.read(directory / "tiny"), Fixture.read(directory / "golden")
-    limits = {"timeout_s": 20.0, "start_timeout_s": 300.0}
+    limits = {"timeout_s": 20.0, "start_timeout_s": 900.0}
     managed = SglangRuntimeConfig(python=options.python.absolute(), device=options.device, dtype="float32", **limits)
     os.environ[KEY_VARIABLE] = secrets.token_urlsafe(16)
     server = ManagedServer(managed, tiny.checkpoint.path, os.environ[KEY_VARIABLE])
