@@ -20,7 +20,7 @@ from roboneuron.errors import ConfigurationError, MissingDependencyError, NotRea
 
 
 def managed(site: Path, **options: object) -> SglangRuntime:
-    told = {"python": sys.executable, "poll_s": 0.1, "start_timeout_s": 30.0, **options}
+    told = {"python": sys.executable, "poll_s": 0.1, "start_timeout_s": 30.0, "log": site.parent / "log", **options}
     environment = {"PYTHONPATH": str(site), **told.pop("environment", {})}  # type: ignore[dict-item]
     return SglangRuntime(SglangRuntimeConfig(**told, environment=environment))  # type: ignore[arg-type]
 

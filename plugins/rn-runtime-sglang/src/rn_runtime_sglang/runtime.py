@@ -66,17 +66,17 @@ class SglangRuntime:
         config = self._config
         expectation = Expectation.of(model.checkpoint)
         accesses = self._launch(model) if config.python is not None else self._remote()
-        self._fleet = Fleet([Server(access, expectation, config.poll_s) for access in accesses])
+        fleet = self._fleet = Fleet([Server(access, expectation, config.poll_s) for access in accesses])
         try:
-            self._fleet.start(config.start_timeout_s, self._check_process)
+            fleet.start(config.start_timeout_s, self._check_process)
         except NotReadyError as error:
             if self._managed is not None and not self._managed.failure():
                 error.hint = self._managed.last_lines()
             raise
-        self._model = model
         example = model.example(min(_WARM_PROMPT_TOKENS, model.max_prompt_tokens))
         assert isinstance(example, TokenRequest)
-        self._answer(example, time.monotonic() + min(_WARM_S, config.start_timeout_s))
+        self._answer(fleet, model, example, time.monotonic() + min(_WARM_S, config.start_timeout_s))
+        self._model = model
 
     def _launch(self, model: PolicyModel) -> list[Access]:
         key = secrets.token_urlsafe(24)
@@ -120,16 +120,17 @@ class SglangRuntime:
             NotReadyError: no answer in time, no server, or `abort` was called; nothing comes of a late answer.
             UnsafeError: the model produced NaN or infinity.
         """
-        if self._fleet is None or self._model is None:
+        fleet, model = self._fleet, self._model
+        if fleet is None or model is None:
             raise StateError("Runtime 'sglang' holds no model; load one first.")
         if not isinstance(request, TokenRequest):
             raise InvalidInputError(f"A request is a {type(request).__name__}, expected TokenRequest.")
-        self._check_request(request, self._model)
+        self._check_request(request, model)
         self._aborted.clear()
         deadline_s = time.monotonic() + self._config.timeout_s
         if request.deadline_s is not None:
             deadline_s = min(deadline_s, request.deadline_s)
-        return self._answer(request, deadline_s)
+        return self._answer(fleet, model, request, deadline_s)
 
     @staticmethod
     def _check_request(request: TokenRequest, model: PolicyModel) -> None:
@@ -145,19 +146,17 @@ class SglangRuntime:
                 f"{request.max_new_tokens} tokens were asked for, the model was loaded for 1 to {model.max_new_tokens}."
             )
 
-    def _answer(self, request: TokenRequest, deadline_s: float) -> TokenReply:
-        assert self._fleet is not None
-        assert self._model is not None
+    def _answer(self, fleet: Fleet, model: PolicyModel, request: TokenRequest, deadline_s: float) -> TokenReply:
         started_s = time.monotonic()
         body = encode_body(request, self._config.image_format)
         encoded_s = time.monotonic()
         try:
-            generated = self._fleet.generate(
+            generated = fleet.generate(
                 body,
                 deadline_s,
                 attempts=self._config.attempts,
                 count=request.max_new_tokens,
-                vocabulary=self._model.decoder.vocabulary,
+                vocabulary=model.decoder.vocabulary,
                 check=self._check,
             )
         except NotReadyError:
@@ -166,7 +165,7 @@ class SglangRuntime:
         self._check()
         ended_s = time.monotonic()
         metrics = {
-            **self._fleet.metrics(),
+            **fleet.metrics(),
             **generated.metrics,
             "served.request_bytes": float(len(body)),
             "served.encode_ms": (encoded_s - started_s) * 1e3,
