@@ -172,6 +172,9 @@ class ServerConfig(_Section):
     allowed_origins: tuple[str, ...] = Field(
         default=(), strict=False, description="web pages that may connect, such as https://panel.lan"
     )
+    lease_s: Seconds | None = Field(
+        default=None, description="motion ends when its operator makes no call for this long; none: never"
+    )
     max_request_bytes: Annotated[int, Field(ge=1024, le=1 << 28)] = Field(
         default=4 << 20, description="largest request over http"
     )

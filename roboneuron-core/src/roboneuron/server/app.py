@@ -21,7 +21,7 @@ from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
 from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of
 from roboneuron.server.catalogue import catalogue_tools
@@ -30,6 +30,7 @@ from roboneuron.server.guard import Guard
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
+from roboneuron.server.operating import Operating
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.records import record_tools
@@ -43,6 +44,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
+_LAPSE_S = 2.0
 
 INSTRUCTIONS = """\
 RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
@@ -117,6 +119,7 @@ class Application:
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
         self.notices = ToolNotices()
         self.guard = Guard(self.loop, self.notices.resource_updated)
+        self.operating = Operating(config.server.lease_s, self.loop.emergency_stop.audit, self._on_lapse)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -126,7 +129,9 @@ class Application:
                 *catalogue_tools(self.plugins),
                 *self.direct.tools(),
                 *record_tools(self.loop, self.guard.incidents),
+                *self.operating.tools(),
             ],
+            admit=self.operating.admit,
             most_calls=config.server.max_concurrent_calls,
         )
         self.direct.fill(self.tools)
@@ -135,6 +140,7 @@ class Application:
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent."""
+        self.operating.close()
         self.guard.close()
         self.direct.close()
         self.supervisor.close()
@@ -145,6 +151,7 @@ class Application:
         self._is_joining = True
         self.direct.open()
         self.guard.start()
+        self.operating.start()
 
     async def _join_ros(self) -> None:
         """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
@@ -155,6 +162,13 @@ class Application:
             with suppress(RoboNeuronError):
                 await to_thread.run_sync(lambda: self.supervisor.link)
             self._is_joining = False
+
+    def _on_lapse(self, reason: str) -> None:
+        """Nobody looks after the robot any more: no policy, no direct motion."""
+        self.direct.desk.end_all(reason, _LAPSE_S)
+        with suppress(StateError):
+            self.loop.stop("inference")
+        self.guard.incidents.record("inference", "lease", {"explanation": reason})
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""

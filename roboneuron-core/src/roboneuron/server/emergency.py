@@ -33,7 +33,7 @@ class EmergencyStop:
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[Any], None]] = {}
         self._latch = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
-        self._audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
+        self.audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
 
     @property
     def file(self) -> EmergencyStopLatch:
@@ -97,7 +97,7 @@ class EmergencyStop:
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
-        self._latch.reset(who=who, role=role, audit=self._audit)
+        self._latch.reset(who=who, role=role, audit=self.audit)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(
@@ -110,7 +110,7 @@ class EmergencyStop:
         """A stop is never withheld for want of a record."""
         record = AuditRecord(who=who, role="", tool="emergency_stop", verdict="latched", reason=reason)
         try:
-            self._audit.write(record)
+            self.audit.write(record)
         except RefusedError as error:
             log.error("The emergency stop is not in the audit: %s", error)
 

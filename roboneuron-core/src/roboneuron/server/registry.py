@@ -6,7 +6,7 @@ import json
 import logging
 import uuid
 from base64 import b64encode
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from mcp import types
@@ -26,10 +26,18 @@ class ToolRegistry:
 
     Args:
         tools: the first ones.
+        admit: raises RoboNeuronError for a call that is not to be made now.
         most_calls: more calls at once are refused, whoever makes them; what stops something is never refused.
     """
 
-    def __init__(self, tools: Iterable[Tool[Any]] = (), *, most_calls: int = 64) -> None:
+    def __init__(
+        self,
+        tools: Iterable[Tool[Any]] = (),
+        *,
+        most_calls: int = 64,
+        admit: Callable[[Tool[Any] | DerivedTool, CallContext], None] = lambda tool, context: None,
+    ) -> None:
+        self._admit = admit
         self._most_calls = most_calls
         self._calls = 0
         self._tools: dict[str, Tool[Any]] = {}
@@ -95,6 +103,7 @@ class ToolRegistry:
         try:
             tool = self._find(name)
             check_role(tool, context)
+            self._admit(tool, context)
             if self._calls > self._most_calls and not tool.always:
                 raise NotReadyError(
                     f"{self._most_calls} calls are at work already, no more are taken.",

@@ -1,0 +1,166 @@
+"""Who operates the robot: one client at a time and, where a lease is required, only while it shows that it lives."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pydantic import Field
+
+from roboneuron.errors import RefusedError
+from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate.request import OPERATOR
+from roboneuron.server.tool import CallContext, DerivedTool, NoArguments, Result, Tool
+
+log = logging.getLogger(__name__)
+_LOOK_S = 0.05
+TAKE_OVER, HEARTBEAT = "take_over", "heartbeat"
+
+
+class OperatorResult(Result):
+    """Who operates the robot now."""
+
+    operator: str = Field(description="the client that may call what acts")
+    before: str = Field(default="", description="who did before; empty when nobody else")
+    lease_s: float | None = Field(default=None, description="motion ends when the operator is silent for this long")
+
+
+class Operating:
+    """Admits calls. The first client that calls what acts is the operator until another takes over.
+
+    With a lease, every call of the operator renews it; when it lapses, `on_lapse` is called once, on a thread of its
+    own, and anybody may become the operator. Methods may be called from any thread.
+
+    Args:
+        lease_s: longest silence of the operator; None: no lease.
+        audit: gets a record of each take-over and lapse.
+        on_lapse: ends all motion; told why.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        lease_s: float | None,
+        audit: AuditLog,
+        on_lapse: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._lease_s = lease_s
+        self._audit = audit
+        self._on_lapse = on_lapse
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._operator = ""
+        self._renewed_s = 0.0
+        self._end = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def admit(self, tool: Tool[Any] | DerivedTool, context: CallContext) -> None:
+        """Let a call through, or not. What reads and what stops is for everybody.
+
+        Raises:
+            RefusedError: somebody else operates the robot.
+        """
+        acts = not tool.read_only and not tool.always and tool.name not in (TAKE_OVER, HEARTBEAT)
+        with self._lock:
+            if acts and not self._operator:
+                self._operator = context.who
+            if context.who == self._operator:
+                self._renewed_s = self._clock()
+            elif acts:
+                raise RefusedError(
+                    f"{self._operator!r} operates the robot, {context.who!r} may look on and stop it.",
+                    hint=f"Call {TAKE_OVER} if that is agreed.",
+                )
+
+    def take_over(self, who: str, role: str) -> str:
+        """Make `who` the operator; returns who was. Motion goes on, what was started stays.
+
+        Raises:
+            RefusedError: the audit cannot be written.
+        """
+        with self._lock:
+            before = self._operator
+            if before != who:
+                reason = f"took over from {before}" if before else "nobody operated"
+                self._audit.write(AuditRecord(who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason))
+                log.warning("%s operates the robot now; %s.", who, reason)
+            self._operator, self._renewed_s = who, self._clock()
+            return before if before != who else ""
+
+    def look(self) -> None:
+        """End motion when the lease has lapsed."""
+        with self._lock:
+            if not self._operator or self._lease_s is None:
+                return
+            silent_s = self._clock() - self._renewed_s
+            if silent_s <= self._lease_s:
+                return
+            who, self._operator = self._operator, ""
+        reason = f"The lease of {who!r} has lapsed: silent for {silent_s:.2f} s, {self._lease_s:g} s are allowed."
+        log.error("%s", reason)
+        try:
+            self._on_lapse(reason)
+        finally:
+            record = AuditRecord(who=who, role="", tool="lease", verdict="lapsed", reason=reason)
+            try:
+                self._audit.write(record)
+            except RefusedError as error:  # motion has ended; a missing record changes nothing about that
+                log.error("The lapse is not in the audit: %s", error)
+
+    def start(self) -> None:
+        """Watch the lease, if there is one."""
+        if self._lease_s is not None and self._thread is None:
+            self._thread = threading.Thread(target=self._watch, name="lease", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Stop watching; idempotent."""
+        self._end.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+
+    def tools(self) -> list[Tool[Any]]:
+        """take_over and heartbeat."""
+
+        async def take_over(_: NoArguments, context: CallContext) -> OperatorResult:
+            before = self.take_over(context.who, context.role)
+            return OperatorResult(operator=context.who, before=before, lease_s=self._lease_s)
+
+        async def heartbeat(_: NoArguments, context: CallContext) -> OperatorResult:
+            return OperatorResult(operator=self._operator, lease_s=self._lease_s)
+
+        return [
+            Tool(
+                name=TAKE_OVER,
+                title="Operate the robot",
+                description=(
+                    "Become the operator: the one client that may call what acts; everybody may look on and stop. The "
+                    "first client that acts is the operator by itself. What runs goes on."
+                ),
+                arguments=NoArguments,
+                result=OperatorResult,
+                handler=take_over,
+                idempotent=True,
+                role=OPERATOR,
+            ),
+            Tool(
+                name=HEARTBEAT,
+                title="Renew the lease",
+                description=(
+                    "Say that you are alive. Every call of the operator does; where a lease is configured "
+                    "([server] lease_s) and the operator is silent for longer, the policy is stopped and the arm holds."
+                ),
+                arguments=NoArguments,
+                result=OperatorResult,
+                handler=heartbeat,
+                idempotent=True,
+            ),
+        ]
+
+    def _watch(self) -> None:
+        while not self._end.wait(_LOOK_S):
+            self.look()
