@@ -55,6 +55,7 @@ class ControlModule(Module):
         self._action_ns = 0
         self._active = False
         self._holding = True
+        self._hold_is_due = False
 
     def configure(self) -> None:
         """Parse the robot description and subscribe."""
@@ -99,6 +100,7 @@ class ControlModule(Module):
         """Ready once a joint state has been turned into a TCP pose."""
         self.status.set_waiting(f"joint states on {JOINT_STATES} (is the robot running?)")
         self._holding = True
+        self._hold_is_due = False
         self._active = True
 
     def deactivate(self) -> None:
@@ -143,6 +145,8 @@ class ControlModule(Module):
         try:
             joints = joints_from_message(message)
             is_new = self._watched.accept(joints, now_s, int(self.node.get_clock().now().nanoseconds))
+            if is_new and self._active and self._hold_is_due:
+                self._command_hold(joints)
             if is_new and self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
                 self._publish_pose(joints)
                 self._pose_s = now_s
@@ -213,7 +217,7 @@ class ControlModule(Module):
             self._hold(outcome.code, outcome.reason)
             return
         self._send(outcome)
-        self._holding = False
+        self._holding = self._hold_is_due = False
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
         self.status.set_value("note", "following actions")
@@ -230,21 +234,32 @@ class ControlModule(Module):
             self._hold("stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s.")
 
     def _hold(self, code: str, reason: str) -> None:
-        """Command the measured posture, once per reason to hold."""
+        """Command the measured posture, once per reason to hold.
+
+        Without a fresh one nothing is sent: the arm would go back to where it was. Its last command comes to an end,
+        and the next joint state is held at once.
+        """
         self.status.set_value("note", f"holding: {reason}")
         self.status.set_value("hold_code", code)
-        joints = self._joints
-        if self._holding or joints is None or self._profile is None:
-            self._holding = True
+        if self._holding:
             return
         self._holding = True
         self.status.dropped.add("holds")
+        joints = self._joints
+        if joints is None or self._are_joints_stale():
+            self._hold_is_due = True
+            return
+        self._command_hold(joints)
+
+    def _command_hold(self, joints: JointSample) -> None:
+        assert self._profile is not None
+        assert self._guard is not None
+        self._hold_is_due = False
         index = [joints.names.index(name) for name in self._profile.arm_joints]
         self._send(
             JointCommand(names=self._profile.arm_joints, position=joints.position[index], duration_s=_HOLD_DURATION_S)
         )
-        if self._guard is not None:
-            self._guard.rest(joints, time.monotonic())
+        self._guard.rest(joints, time.monotonic())
 
     def _send(self, command: JointCommand) -> None:
         assert self._command is not None
