@@ -12,7 +12,7 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-all check format bench bench-vla interop-sglang clean
+.PHONY: help demo demo-bases test test-all check format bench bench-vla interop interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -48,6 +48,9 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
+
+interop: $(VENV)/.develop ## MCP Inspector and the public conformance suite against our server (npm)
+	$(BIN)/python tests/interop/check.py $(ARGS)
 
 interop-sglang: $(VENV)/.develop .venv-sglang/.ready ## real SGLang in an environment of its own (3.4 GB): same tokens, latency, closed loop
 	$(BIN)/python plugins/rn-runtime-sglang/interop/check.py --python .venv-sglang/bin/python $(ARGS)

