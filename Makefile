@@ -83,5 +83,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(PIP) torch==2.13.0
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(ALL_PACKAGES)) \
 	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs
+	  ros-jazzy-test-msgs "rn-backend-pi0[native,remote]" transformers
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases
