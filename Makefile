@@ -9,6 +9,8 @@ ARGS ?=
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
+comma := ,
+WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',$(ALL_PACKAGES))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
@@ -82,7 +84,7 @@ $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(ALL_PACKAGES)) \
+	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)) \
 	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs "rn-backend-pi0[native,remote]" transformers
+	  ros-jazzy-test-msgs transformers
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases
