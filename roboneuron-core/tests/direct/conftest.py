@@ -228,7 +228,7 @@ class Agent:
         """Code and text of a call that must fail."""
         answer = await self.call(name, arguments)
         assert answer.is_error, answer.structured_content
-        return answer.structured_content["error"]["code"], answer.content[0].text  # type: ignore[union-attr]
+        return answer.meta["roboneuron/error"]["code"], answer.content[0].text  # type: ignore[union-attr]
 
 
 def run_agent(application: Application, scenario: Callable[[Agent], Any], mode: str = "auto") -> None:

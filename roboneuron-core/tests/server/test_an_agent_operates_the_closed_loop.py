@@ -50,7 +50,7 @@ class Agent:
         """Code and text of a call that must fail."""
         answer = await self._call(name, arguments)
         assert answer.is_error, answer.content
-        return answer.structured_content["error"]["code"], answer.content[0].text  # type: ignore[union-attr]
+        return answer.meta["roboneuron/error"]["code"], answer.content[0].text  # type: ignore[union-attr]
 
     async def look(self, camera: str) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
         """Facts and pixels of a camera's image, as PNG."""

@@ -63,13 +63,13 @@ def test_a_bad_call_is_refused_with_a_reason(
     answer = call(application, name, arguments)
     assert answer.is_error
     assert words in answer.content[0].text  # type: ignore[union-attr]
-    assert answer.structured_content["error"]["code"] == code
+    assert answer.meta["roboneuron/error"]["code"] == code
     assert all(view.phase == "stopped" for view in application.supervisor.views())
 
 
 def test_null_for_an_optional_argument_counts_as_omitted(application: Application, tmp_path: Path) -> None:
     answer = call(application, "start_inference", {"backend": None, "checkpoint": str(tmp_path), "runtime": None})
-    assert answer.structured_content["error"]["code"] == "checkpoint"
+    assert answer.meta["roboneuron/error"]["code"] == "checkpoint"
 
 
 def test_an_unexpected_failure_tells_no_internals(application: Application, caplog: pytest.LogCaptureFixture) -> None:
@@ -89,7 +89,7 @@ def test_an_unexpected_failure_tells_no_internals(application: Application, capl
     answer = call(application, "explode", {})
     text = answer.content[0].text  # type: ignore[union-attr]
     assert answer.is_error
-    assert answer.structured_content["error"]["code"] == "internal"
+    assert answer.meta["roboneuron/error"]["code"] == "internal"
     assert "secret" not in text
     assert "KeyError" not in text
     incident = text.split("incident ")[1].split(")")[0]

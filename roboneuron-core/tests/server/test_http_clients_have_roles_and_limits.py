@@ -85,7 +85,7 @@ def ask(server: HttpServer, role: str, tool: str, mode: str = "auto", **argument
 
 def code_of(answer: Any) -> str:
     assert answer.is_error, answer
-    return str(answer.structured_content["error"]["code"])
+    return str(answer.meta["roboneuron/error"]["code"])
 
 
 @contextmanager

@@ -19,6 +19,8 @@ from roboneuron.server.schema import Schema, check_arguments, input_schema, outp
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
 log = logging.getLogger(__name__)
+ERROR_META = "roboneuron/error"
+"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the output schema)."""
 
 
 class ToolRegistry:
@@ -185,6 +187,6 @@ def _failure(error: RoboNeuronError) -> types.CallToolResult:
         details["path"] = error.path
     return types.CallToolResult(
         content=[types.TextContent(type="text", text=str(error))],
-        structured_content={"error": details},
+        _meta={ERROR_META: details},
         is_error=True,
     )
