@@ -10,7 +10,8 @@ ROOT = Path(__file__).parents[2]
 
 def test_every_row_of_the_fault_matrix_names_tests_that_exist() -> None:
     lines = (ROOT / "docs" / "fault-matrix.md").read_text().splitlines()
-    rows = [line for line in lines if line.startswith("|")][2:]
+    tables = [line for line in lines if line.startswith("|") and line.count("|") == 5]
+    rows = [line for line in tables if not line.startswith(("| fault |", "|---"))]
     assert len(rows) > 20
     source = ""
     for row in rows:

@@ -73,8 +73,8 @@ def action_types(node: Node) -> dict[str, list[str]]:
 
 
 def node_names(node: Node) -> list[str]:
-    """Absolute names of all nodes."""
-    return sorted(f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces())
+    """Absolute names of all nodes, each once: ROS lets several nodes, and for a while dead ones, share a name."""
+    return sorted({f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()})
 
 
 def used_names(node: Node) -> dict[str, dict[str, str]]:
