@@ -176,16 +176,16 @@ def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frame
     found: dict[tuple[str, str], list[np.ndarray]] = {}
     oldest_s: dict[tuple[str, str], float] = {}
     for _ in range(rounds):
-        for name in ("relay", "inference"):
-            peer = relay(environment) if name == "relay" else inference(environment, camera, scratch)
-            with peer:
-                camera.wait_for_peer()
-                for size, (height, width) in SIZES.items():
+        for size, (height, width) in SIZES.items():  # a camera that changes its size is refused: a process per size
+            for name in ("relay", "inference"):
+                peer = relay(environment) if name == "relay" else inference(environment, camera, scratch)
+                with peer:
+                    camera.wait_for_peer()
                     latencies, oldest, _ = camera.run(height, width, frames)
-                    found.setdefault((size, name), []).append(latencies)
-                    oldest_s[size, name] = max(oldest, oldest_s.get((size, name), 0.0))
-            while camera.node.count_publishers("/bench/action"):
-                time.sleep(0.02)
+                found.setdefault((size, name), []).append(latencies)
+                oldest_s[size, name] = max(oldest, oldest_s.get((size, name), 0.0))
+                while camera.node.count_publishers("/bench/action"):
+                    time.sleep(0.02)
     table = Table(
         title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} frames in turns"
     )
