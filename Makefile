@@ -46,6 +46,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_loop.py
 	$(BIN)/python benchmarks/bench_start_stop.py
 	$(BIN)/python benchmarks/bench_switch.py
+	$(BIN)/python benchmarks/bench_direct.py
 	$(BIN)/python benchmarks/bench_servo.py
 	$(BIN)/python benchmarks/bench_interfaces.py
 
