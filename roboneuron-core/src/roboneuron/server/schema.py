@@ -83,9 +83,12 @@ def check_arguments(schema: Schema, arguments: Mapping[str, Any]) -> dict[str, A
 def _explain(error: ValidationError) -> InvalidInputError:
     path = ".".join(str(part) for part in error.absolute_path)
     where = f"Argument {path!r}" if path else "The call"
-    value, expected = error.instance, error.validator_value
+    # a validation error raised by iter_errors() has all of these; the type of the library also allows for unset ones
+    value: Any = error.instance
+    expected: Any = error.validator_value
+    rule: Any = error.schema
     if error.validator == "additionalProperties":
-        valid = list(error.schema.get("properties", {}))
+        valid = list(rule.get("properties", {}))
         unknown = next(key for key in value if key not in valid)
         close = get_close_matches(str(unknown), valid, n=1)
         hint = f"Did you mean {close[0]!r}?" if close else f"Valid: {', '.join(valid) or 'none'}."
