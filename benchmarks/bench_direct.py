@@ -31,6 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
 
 TOPIC = "/bench/cmd_vel"
 BUDGET_MS = 0.3
@@ -288,7 +289,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the raw milliseconds here")
     arguments = parser.parse_args()
     console = Console(width=110)
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare_environment(folder / "log")

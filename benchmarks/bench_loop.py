@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import random
 import shutil
 import subprocess
 import sys
@@ -30,6 +29,7 @@ from rich.table import Table
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 RATE_HZ = 30.0
@@ -161,7 +161,7 @@ def measure(frames: int, rounds: int, scratch: Path) -> Table:
     shutil.copy(HERE / "loop_plugin.py", site)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loop-plugin\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[roboneuron]\nloop-plugin = loop_plugin\n")
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(scratch / "log")
     environment = os.environ | {"PYTHONPATH": str(site)}
     camera = Camera()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import random
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from rich.table import Table
 
 from roboneuron.demo.agent import Agent
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
 
 MODULES = ("robot", "perception", "control", "inference")
 BARE_NODE = "import rclpy; rclpy.init(); n = rclpy.create_node('bare'); n.destroy_node(); rclpy.try_shutdown()"
@@ -69,7 +69,7 @@ async def cycle(agent: Agent) -> tuple[dict[str, float], float]:
 
 async def measure(cycles: int, scratch: Path) -> tuple[Table, Table]:
     """Run all cycles against one server."""
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(scratch / "log")
     before_shm = sum(1 for p in Path("/dev/shm").iterdir() if "fastrtps" in p.name)
     parameters = StdioServerParameters(

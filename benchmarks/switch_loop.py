@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import sys
 import threading
@@ -20,6 +19,7 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import InferenceRequest
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 CONFIG = """
@@ -145,7 +145,7 @@ def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iter
     site = str(scratch / "site")
     before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
     os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (site, before["PYTHONPATH"] or "") if p)
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     os.environ["ROS_LOG_DIR"] = str(scratch / "ros")
     sys.path.insert(0, site)
     config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))

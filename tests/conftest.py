@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-import random
 import sys
 from pathlib import Path
 
 import pytest
+
+from roboneuron.testing.domain import free_ros_domain
 
 ROOT = Path(__file__).parents[1]
 
@@ -18,7 +19,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
     scripts = str(Path(sys.executable).parent)
     return {
         **{key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")},
-        "ROS_DOMAIN_ID": str(random.SystemRandom().randrange(30, 100)),
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
         "XDG_STATE_HOME": str(tmp_path / "state"),
         "PATH": f"{scripts}:{os.environ['PATH']}",
     }

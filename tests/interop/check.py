@@ -10,7 +10,6 @@ import argparse
 import json
 import os
 import platform
-import random
 import re
 import signal
 import socket
@@ -20,6 +19,8 @@ import tempfile
 import time
 from importlib.metadata import version
 from pathlib import Path
+
+from roboneuron.testing.domain import free_ros_domain
 
 NODE, INSPECTOR, CONFORMANCE = "22", "2.12.0", "0.1.16"
 PACKAGES = (
@@ -51,7 +52,7 @@ def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     command = [sys.executable, "-m", "roboneuron.cli.main", "serve", "--transport", "http", "--port", str(port)]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(random.randint(30, 99))}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
     log = (state / "server.log").open("wb")
     process = subprocess.Popen([*command, "--config", str(configuration)], env=environment, stderr=log)
     deadline_s = time.monotonic() + 60

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ import pytest
 from roboneuron.config import Config, parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
 
 CONFIG = """
 [robot]
@@ -191,7 +191,7 @@ def wait() -> Callable[[Callable[[], bool], float, str], float]:
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     """An FR3 on a ROS domain of its own; tests start the modules they need."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(30, 100)))
+        patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
         patch.setenv("ROS_LOG_DIR", os.environ.get("ROS_LOG_DIR", ""))
         state = tmp_path_factory.mktemp("state")
         prepare_environment(state / "log")

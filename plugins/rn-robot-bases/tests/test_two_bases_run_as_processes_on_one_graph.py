@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import subprocess
 import sys
 import time
@@ -14,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from roboneuron.testing.domain import free_ros_domain
+
 pytestmark = pytest.mark.ros
 
 
@@ -21,7 +22,7 @@ class Graph:
     """A node of the test, and the base processes that it started."""
 
     def __init__(self, folder: Path) -> None:
-        os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+        os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
         from roboneuron.ros.environment import prepare_environment
 
         prepare_environment(folder)

@@ -12,7 +12,6 @@ import argparse
 import asyncio
 import json
 import os
-import random
 import signal
 import sys
 import tempfile
@@ -30,6 +29,7 @@ from rn_runtime_sglang.standin.site import write_site
 from roboneuron.demo.agent import Agent, module_status
 from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
 
 WATCH_S = 8.0
 INSTRUCTION = "pick up the red bowl"
@@ -257,7 +257,7 @@ def main() -> int:
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--checkpoint", type=Path)
     options = parser.parse_args()
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(30, 99)))
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
     with tempfile.TemporaryDirectory(prefix="rn-interop-loop-") as held:
         prepare_environment(Path(held) / "ros")
         good = asyncio.run(run(options, Path(held)))

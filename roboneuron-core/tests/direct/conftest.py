@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
 from roboneuron.testing.fakes import fake_registry
 
 EXPOSED = """
@@ -245,7 +245,7 @@ def run_agent(application: Application, scenario: Callable[[Agent], Any], mode: 
 @pytest.fixture(scope="session")
 def _domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     before = os.environ.get("ROS_DOMAIN_ID")
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(tmp_path_factory.mktemp("ros"))
     yield
     if before is None:

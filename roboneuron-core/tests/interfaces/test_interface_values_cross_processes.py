@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import subprocess
 import sys
 import threading
@@ -17,6 +16,7 @@ from typing import Any
 import pytest
 
 from roboneuron.interfaces import list_interfaces
+from roboneuron.testing.domain import free_ros_domain
 
 pytest.importorskip("test_msgs", reason="pip install ros-jazzy-test-msgs")
 
@@ -91,7 +91,7 @@ def round_trip(names: list[str], seed: int, interface_values: Any, timeout_s: fl
         parts = interface_values.parts_of(name)
         words = {1: ("msg",), 2: ("request", "response"), 3: ("goal", "result", "feedback")}[len(parts)]
         expected.update({(name, word): part for word, part in zip(words, parts, strict=True)})
-    domain = random.SystemRandom().randint(30, 99)
+    domain = free_ros_domain()
     with started("serve", seed, names, domain) as server:
         assert server.next(timeout_s) == {"ready": len(names)}
         with started("send", seed, names, domain) as sender:

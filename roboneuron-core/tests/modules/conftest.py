@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import threading
 import time
@@ -16,6 +15,7 @@ import pytest
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 BASE = """
@@ -48,7 +48,7 @@ class World:
 
     def __init__(self, state_directory: Path) -> None:
         self.state_directory = state_directory
-        os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(30, 100))
+        os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
         prepare_environment(state_directory / "log")
         import rclpy
         from rclpy.executors import SingleThreadedExecutor

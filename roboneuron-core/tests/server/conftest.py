@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
 from roboneuron.testing.fakes import fake_registry
 
 CONFIG = """
@@ -63,7 +63,7 @@ def server_environment(tmp_path: Path) -> dict[str, str]:
     shutil.copy(Path(__file__).with_name("plugin_for_tests.py"), site / "rn_server_tests_plugin.py")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-server-tests\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[roboneuron]\nrn-server-tests = rn_server_tests_plugin\n")
-    return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(random.randint(30, 99))}
+    return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(free_ros_domain())}
 
 
 @pytest.fixture

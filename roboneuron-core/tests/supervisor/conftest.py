@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
 
 FAKE_MODULE = Path(__file__).with_name("fake_module.py")
 
@@ -25,7 +25,7 @@ def fake_command() -> Callable[[str | None], list[str]]:
 @pytest.fixture(scope="session", autouse=True)
 def _own_domain() -> None:
     """ROS traffic of this test run stays in a domain of its own."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(30, 99)))
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
 
 
 @pytest.fixture
