@@ -18,6 +18,8 @@ from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.rehearsal import Rehearsal
+from roboneuron.modules.turn import Turn
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import (
@@ -50,6 +52,9 @@ class ControlModule(Module):
         self._subscriptions: list[object] = []
         self._watched: JointWatch | None = None
         self._guard: MotionGuard | None = None
+        self._turn = Turn()
+        self._rehearsal: Rehearsal | None = None
+        self._told: set[str] = set()
         self._pose_s = 0.0
         self._action_s = 0.0
         self._action_ns = 0
@@ -94,6 +99,11 @@ class ControlModule(Module):
             self.node.create_subscription(JointState, JOINT_STATES, self._on_joint_state, NEWEST),
             self.node.create_subscription(Float64MultiArray, ACTION, self._on_action, NEWEST),
         ]
+        self._turn.serve(self.node, shadow=self.settings.shadow)
+        if self.settings.shadow:
+            self._rehearsal = Rehearsal(
+                self.node, self.status, config.command, self._controller.forward, self._on_predecessor
+            )
         self._timer = self.node.create_timer(config.action_timeout_s / 5, self._watch)
 
     def activate(self) -> None:
@@ -118,6 +128,9 @@ class ControlModule(Module):
         for subscription in self._subscriptions:
             self.node.destroy_subscription(subscription)
         self._subscriptions.clear()
+        if self._rehearsal is not None:
+            self._rehearsal.close()
+            self._rehearsal = None
         for publisher in (self._command, self._ee_pose):
             if publisher is not None:
                 self.node.destroy_lifecycle_publisher(publisher)
@@ -145,6 +158,8 @@ class ControlModule(Module):
         try:
             joints = joints_from_message(message)
             is_new = self._watched.accept(joints, now_s, int(self.node.get_clock().now().nanoseconds))
+            if is_new and self._rehearsal is not None:
+                self._rehearsal.see(joints)
             if is_new and self._active and self._hold_is_due:
                 self._command_hold(joints)
             if is_new and self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
@@ -159,12 +174,14 @@ class ControlModule(Module):
         assert self._ee_pose is not None
         assert self._profile is not None
         pose = self._controller.forward(joints)
-        self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
+        if self._turn.is_ours(joints.stamp_ns):
+            self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
+            self._tell("pose")
         self.status.clear_error()
         self.status.set_ready()
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        if not self._active:
+        if not self._active or self._turn.is_over(int(info["source_timestamp"])):
             return
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
         reason = self._why_not(age_s, int(info["source_timestamp"]))
@@ -205,7 +222,12 @@ class ControlModule(Module):
         since_s = now_s - self._action_s
         step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else _FIRST_STEP_S
         self._action_ns = source_ns
-        outcome: JointCommand | Hold | None = self._controller.compute(action, joints, step_s)
+        answer = self._controller.compute(action, joints, step_s)
+        if self._turn.is_shadow(source_ns):
+            if self._rehearsal is not None:
+                self._rehearsal.answer(answer)
+            return
+        outcome: JointCommand | Hold | None = answer
         if isinstance(outcome, JointCommand):
             outcome = self._guard.judge(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
@@ -217,6 +239,7 @@ class ControlModule(Module):
             self._hold(outcome.code, outcome.reason)
             return
         self._send(outcome)
+        self._tell("command")
         self._holding = self._hold_is_due = False
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
@@ -226,7 +249,7 @@ class ControlModule(Module):
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action."""
-        if not self._active or self._holding:
+        if not self._active or self._holding or not self._is_our_turn():
             return
         if time.monotonic() - self._action_s > self._limits.action_timeout_s * 0.75:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
@@ -237,8 +260,10 @@ class ControlModule(Module):
         """Command the measured posture, once per reason to hold.
 
         Without a fresh one nothing is sent: the arm would go back to where it was. Its last command comes to an end,
-        and the next joint state is held at once.
+        and the next joint state is held at once. Whose turn it is not leaves the arm to the other control.
         """
+        if not self._is_our_turn():
+            return
         self.status.set_value("note", f"holding: {reason}")
         self.status.set_value("hold_code", code)
         if self._holding:
@@ -250,6 +275,26 @@ class ControlModule(Module):
             self._hold_is_due = True
             return
         self._command_hold(joints)
+
+    def _is_our_turn(self) -> bool:
+        return self._turn.is_ours(time.time_ns())
+
+    def _on_predecessor(self, command: JointCommand, sent_s: float) -> None:
+        """Go on from where the arm was sent by the control before this one."""
+        joints = self._joints
+        if "command" in self._told or joints is None or self._guard is None:
+            return
+        self._guard.follow(command, joints, sent_s)
+        self._action_s, self._holding = sent_s, False
+
+    def _tell(self, what: str) -> None:
+        """Tell when the first and the newest of its kind went out: a change-over is confirmed and measured by that."""
+        now_ns = time.time_ns()
+        self.status.set_value(f"last_sent_ns.{what}", now_ns)
+        if what not in self._told:
+            self._told.add(what)
+            self.status.set_value(f"first_sent_ns.{what}", now_ns)
+            self.status.changed.set()
 
     def _command_hold(self, joints: JointSample) -> None:
         assert self._profile is not None

@@ -69,6 +69,10 @@ class MotionGuard:
         self._record(verdict, now_s)
         return verdict.command
 
+    def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
+        """The predecessor has sent this, at the monotonic time `sent_s`."""
+        self._limiter.follow(command, joints, sent_s)
+
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """The arm was told to hold where it is measured."""
         self._limiter.rest(joints, now_s)

@@ -1,4 +1,4 @@
-"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`."""
+"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`, calibrations on `.../camera_info`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ import time
 from typing import cast
 
 from rclpy.lifecycle import LifecyclePublisher
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron.contract import CameraProfile, PerceptionSource
 from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import StatusKey
+from roboneuron.modules.turn import Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
-from roboneuron.ros.messages import to_image
+from roboneuron.ros.messages import to_camera_info, to_image
 from roboneuron.ros.qos import NEWEST
-from roboneuron.ros.topics import camera_image
+from roboneuron.ros.topics import camera_image, camera_info
 
 _READ_TIMEOUT_S = 0.25
 SILENCE_S = 3.0
@@ -34,9 +35,12 @@ class PerceptionModule(Module):
         self._topics = NodeTopics(node)
         self._source: PerceptionSource | None = None
         self._publishers: dict[str, LifecyclePublisher] = {}
+        self._info_publishers: dict[str, LifecyclePublisher] = {}
         self._worker = Worker("perception", self._step, self.status)
+        self._turn = Turn()
         self._newest_s = 0.0
         self._missing: set[str] = set()
+        self._published: set[str] = set()
 
     def configure(self) -> None:
         """Open the source for the configured cameras."""
@@ -54,6 +58,10 @@ class PerceptionModule(Module):
             self._publishers[camera.name] = self.node.create_lifecycle_publisher(
                 Image, camera_image(camera.name), NEWEST
             )
+            self._info_publishers[camera.name] = self.node.create_lifecycle_publisher(
+                CameraInfo, camera_info(camera.name), NEWEST
+            )
+        self._turn.serve(self.node, shadow=self.settings.shadow)
         self.status.set_value("source", spec.name)
         self.status.set_value("cameras", ",".join(self._publishers))
 
@@ -75,9 +83,10 @@ class PerceptionModule(Module):
         if self._source is not None:
             self._source.close()
             self._source = None
-        for publisher in self._publishers.values():
+        for publisher in (*self._publishers.values(), *self._info_publishers.values()):
             self.node.destroy_lifecycle_publisher(publisher)
         self._publishers.clear()
+        self._info_publishers.clear()
         self._topics.close()
 
     def _announce_missing(self) -> None:
@@ -98,9 +107,15 @@ class PerceptionModule(Module):
             raise PluginError(f"The source delivered camera {frame.camera!r}, asked for {sorted(self._publishers)}.")
         if stop.is_set():
             return
-        publisher.publish(to_image(frame))
         self._newest_s = time.monotonic()
-        self.status.output.tick()
+        self.status.set_value(f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}")
+        if self._turn.is_ours(frame.stamp_ns):
+            info = to_camera_info(frame)
+            if info is not None:
+                self._info_publishers[frame.camera].publish(info)
+            publisher.publish(to_image(frame))
+            self.status.output.tick()
+            self._note_published(frame.camera, time.time_ns())
         self.status.latency.add((self._topics.now_ns() - frame.stamp_ns) / 1e6)
         self.status.set_value(f"{StatusKey.AGE_MS}.{frame.camera}", (self._topics.now_ns() - frame.stamp_ns) / 1e6)
         self.status.clear_error()
@@ -110,6 +125,14 @@ class PerceptionModule(Module):
                 self._announce_missing()
             else:
                 self.status.set_ready()
+
+    def _note_published(self, camera: str, at_ns: int) -> None:
+        """Tell when the first and the newest image went out: by that a change-over is confirmed and measured."""
+        self.status.set_value(f"last_sent_ns.{camera}", at_ns)
+        if camera not in self._published:
+            self._published.add(camera)
+            self.status.set_value(f"first_sent_ns.{camera}", at_ns)
+            self.status.changed.set()
 
 
 def _choose(cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str) -> tuple[CameraProfile, ...]:

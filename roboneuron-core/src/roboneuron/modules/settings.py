@@ -20,7 +20,7 @@ class ModuleSettings(BaseModel):
         node_name: name of its ROS node under the robot's namespace; the kind unless several run side by side.
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
-        shadow: of inference: predict on live images without acting until its turn comes, see `roboneuron.modules.turn`.
+        shadow: work on live inputs without publishing until its turn comes, see `roboneuron.modules.turn`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -79,9 +79,9 @@ EMERGENCY_STOP_TOPIC = "emergency_stop"
 STATUS_PERIOD_S = 0.2
 """Every module reports on /diagnostics at least this often, and at once after a change."""
 ACT_FROM = "act_from_ns"
-"""ROS parameter: images captured before this ROS time [ns] are only predicted on. 0: none."""
+"""ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
 ACT_UNTIL = "act_until_ns"
-"""ROS parameter: images captured at or after this ROS time [ns] are left to the successor. 0: none."""
+"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
 PLAY_UNTIL = "play_until_ns"
 """ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
 TURN_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)

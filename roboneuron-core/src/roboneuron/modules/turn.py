@@ -1,24 +1,48 @@
-"""Whose turn it is to act: a change-over between two inference modules is a moment in the images' time.
+"""Whose turn it is to act: a change-over between two modules of a kind is a moment in the time of what they work on.
 
-Both modules are active on the same topics. Images captured before the moment belong to the old one, later ones to the
-new one, so that no image is acted on twice and none is left out, however long the messages about it take. Until its
-turn comes, a module works in shadow: it predicts on live images and publishes nothing.
+Both modules are active on the same topics. What was stamped before the moment belongs to the old one, later things to
+the new one, so that nothing is acted on twice and nothing is left out, however long the messages about it take. Until
+its turn comes, a module works in shadow: it does its work on live inputs and publishes nothing. Inference goes by the
+capture time of images, perception by that of its own, control by the times at which actions were sent and joints
+measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, PLAY_UNTIL, TURN_PARAMETERS
+from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, TURN_PARAMETERS
 
 
 class Turn:
-    """The three moments; read by the inference thread, set by the executor's."""
+    """The three moments; read by the module's threads, set by the executor's."""
 
     def __init__(self) -> None:
         self._moments_ns = dict.fromkeys(TURN_PARAMETERS, 0)
+
+    def serve(self, node: Node, *, shadow: bool) -> None:
+        """Let the moments be set as parameters of `node`; does nothing the second time.
+
+        Args:
+            node: of a module without other parameters to check.
+            shadow: its turn has not come yet.
+        """
+        if node.has_parameter(ACT_FROM):
+            return
+        node.add_on_set_parameters_callback(self._on_parameters)
+        for name in TURN_PARAMETERS:
+            node.declare_parameter(name, NEVER_NS if shadow and name == ACT_FROM else 0)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        turns = [parameter for parameter in parameters if parameter.name in TURN_PARAMETERS]
+        refused = next((reason for turn in turns if (reason := self.check(turn))), "")
+        if not refused:
+            self.set(turns)
+        return SetParametersResult(successful=not refused, reason=refused)
 
     def check(self, parameter: Parameter) -> str:
         """Why the parameter's value is no moment; empty when it is one."""
@@ -31,13 +55,17 @@ class Turn:
         self._moments_ns |= {parameter.name: int(parameter.value) for parameter in parameters}
 
     def is_shadow(self, stamp_ns: int) -> bool:
-        """An image captured at `stamp_ns` is for looking only."""
+        """What is stamped `stamp_ns` is for looking only."""
         return stamp_ns < self._moments_ns[ACT_FROM]
 
     def is_over(self, stamp_ns: int) -> bool:
-        """An image captured at `stamp_ns` is the successor's."""
+        """What is stamped `stamp_ns` is the successor's."""
         until_ns = self._moments_ns[ACT_UNTIL]
         return until_ns != 0 and stamp_ns >= until_ns
+
+    def is_ours(self, stamp_ns: int) -> bool:
+        """What is stamped `stamp_ns` is to be acted on by this module."""
+        return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
 
     def must_fall_silent(self, now_ns: int) -> bool:
         """The rest of a chunk is the successor's to replace."""

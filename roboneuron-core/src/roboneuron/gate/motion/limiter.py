@@ -138,6 +138,18 @@ class MotionLimiter:
             reference_lost=lost,
         )
 
+    def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
+        """Somebody else has sent this command, at the monotonic time `sent_s`: it is the reference for the next one.
+
+        One that cannot be understood leaves no reference, so that the arm is met where it is measured.
+        """
+        try:
+            step, _ = self._step(command, joints, sent_s)
+        except UnsafeError:
+            self._commanded.forget()
+        else:
+            self._commanded.go(step.start, step.asked - step.start, step.duration_s, sent_s)
+
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """The arm was told to hold where it is measured; None: nobody knows where it is."""
         try:
