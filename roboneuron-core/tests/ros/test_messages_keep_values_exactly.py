@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract import CameraCalibration, CameraProfile, Frame, JointCommand, JointSample, Pose
 from roboneuron.errors import InvalidInputError
+from roboneuron.modules.sight import CalibratedCamera
 from roboneuron.ros import messages
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -33,6 +34,45 @@ def test_frame_survives_the_wire() -> None:
     back = messages.frame_from_message(over_the_wire(messages.to_image(frame)), "front")
     np.testing.assert_array_equal(back.image, frame.image)
     assert (back.stamp_ns, back.frame_id) == (STAMP_NS, "optical")
+
+
+def calibration() -> CameraCalibration:
+    intrinsics = np.array([[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]])
+    return CameraCalibration(intrinsics=intrinsics, mount="tcp", T_mount_camera=np.eye(4))
+
+
+def test_intrinsics_cross_the_wire_with_pixel_centres_at_integers() -> None:
+    frame = Frame(camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="optical", calibration=calibration())
+    info = over_the_wire(messages.to_camera_info(frame))
+    assert (info.width, info.height, info.header.frame_id, messages.to_ns(info.header.stamp)) == (
+        6,
+        4,
+        "optical",
+        STAMP_NS,
+    )
+    assert (info.k[2], info.k[5], info.k[8]) == (319.5, 239.5, 1.0)
+    np.testing.assert_array_equal(messages.intrinsics_from_camera_info(info), calibration().intrinsics)
+
+
+def test_a_frame_without_calibration_has_no_camera_info() -> None:
+    assert messages.to_camera_info(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f")) is None
+
+
+@pytest.mark.parametrize("k", [[0.0] * 9, [float("nan")] * 9])
+def test_camera_info_of_an_uncalibrated_camera_is_refused(k: list[float]) -> None:
+    with pytest.raises(InvalidInputError, match="no calibration"):
+        messages.intrinsics_from_camera_info(CameraInfo(k=k))
+
+
+def test_published_intrinsics_count_before_those_of_the_profile() -> None:
+    profile = CameraProfile(name="c", role="primary", frame_id="f", width=8, height=8, calibration=calibration())
+    camera = CalibratedCamera(profile)
+    wide = Frame(camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="f", calibration=calibration())
+    assert camera.to_frame(messages.to_image(wide)).calibration is None, "6x4 is not the profile's aspect ratio"
+    camera.set_info(messages.to_camera_info(wide))
+    found = camera.to_frame(messages.to_image(wide)).calibration
+    np.testing.assert_array_equal(found.intrinsics, calibration().intrinsics)
+    assert found.mount == "tcp"
 
 
 def test_rows_with_padding_are_read_without_it() -> None:
@@ -72,14 +112,16 @@ def test_image_without_capture_time_is_refused() -> None:
         messages.frame_from_message(message, "c")
 
 
-def test_calibration_follows_the_image_size_and_is_dropped_for_another_shape() -> None:
+@pytest.mark.parametrize(("height", "width", "focal_px"), [(8, 12, 200.0), (4, 6, 100.0), (4, 4, None)])
+def test_calibration_follows_the_image_size_and_is_dropped_for_another_shape(
+    height: int, width: int, focal_px: float | None
+) -> None:
     intrinsics = np.array([[100.0, 0, 3], [0, 100.0, 2], [0, 0, 1]])
-    calibration = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
-    profile = CameraProfile(name="c", role="primary", frame_id="f", width=6, height=4, calibration=calibration)
-    for height, width, focal in ((8, 12, 200.0), (4, 6, 100.0), (4, 4, None)):
-        frame = Frame(camera="c", image=image(height, width), stamp_ns=1, frame_id="f")
-        got = messages.frame_from_message(messages.to_image(frame), "c", profile).calibration
-        assert (None if got is None else got.intrinsics[0, 0]) == focal
+    known = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
+    profile = CameraProfile(name="c", role="primary", frame_id="f", width=6, height=4, calibration=known)
+    frame = Frame(camera="c", image=image(height, width), stamp_ns=1, frame_id="f")
+    got = CalibratedCamera(profile).to_frame(messages.to_image(frame)).calibration
+    assert (None if got is None else got.intrinsics[0, 0]) == focal_px
 
 
 @given(st.lists(FINITE, min_size=7, max_size=7))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import statistics
 import threading
 import time
@@ -13,10 +14,10 @@ from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation
+from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation, Runtime
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
@@ -29,7 +30,7 @@ from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_action_message
 from roboneuron.ros.qos import NEWEST
-from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image
+from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image, camera_info
 
 _WAIT_S = 0.1
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
@@ -39,6 +40,7 @@ _PACE = 0.8
 """The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
 """Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
+log = logging.getLogger(__name__)
 
 
 class InferenceModule(Module):
@@ -47,6 +49,7 @@ class InferenceModule(Module):
     def __init__(self, node: ModuleNode) -> None:
         super().__init__(node)
         self._backend: Backend | None = None
+        self._runtime: Runtime | None = None
         self._publisher: LifecyclePublisher | None = None
         self._subscriptions: list[object] = []
         self._inputs: NewestInputs | None = None
@@ -91,6 +94,7 @@ class InferenceModule(Module):
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
             for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
         }
+        self._runtime = cast("Runtime | None", parts["runtime"])
         self._backend = cast("Backend", build(spec, options, **parts))
         started_s = time.monotonic()
         self._backend.load()
@@ -121,16 +125,16 @@ class InferenceModule(Module):
         self._worker.start()
 
     def deactivate(self) -> None:
-        """Stop publishing at once; a prediction in progress is thrown away."""
-        if not self._worker.stop():
+        """Stop publishing at once; a prediction in progress is given up, or thrown away."""
+        if not self._worker.stop(give_up=self._give_up):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
 
     def close(self) -> None:
         """Release the backend and the topics."""
-        self._worker.stop()
+        self._worker.stop(give_up=self._give_up)
         if self._backend is not None:
             self._backend.close()
-            self._backend = None
+            self._backend = self._runtime = None
         for subscription in self._subscriptions:
             self.node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -138,11 +142,23 @@ class InferenceModule(Module):
             self.node.destroy_lifecycle_publisher(self._publisher)
             self._publisher = None
 
+    def _give_up(self) -> None:
+        """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
+        if self._runtime is None:
+            return
+        try:
+            self._runtime.abort()
+        except Exception:  # the module border: silence matters more than what a plugin says about it
+            log.exception("the runtime could not give up its prediction")
+
     def _subscribe(self, inputs: NewestInputs) -> None:
         for role, camera in inputs.cameras.items():
-            self._subscriptions.append(
-                self.node.create_subscription(Image, camera_image(camera.name), inputs.image_callback(role), NEWEST)
-            )
+            self._subscriptions += [
+                self.node.create_subscription(
+                    CameraInfo, camera_info(camera.name), inputs.camera_info_callback(role), NEWEST
+                ),
+                self.node.create_subscription(Image, camera_image(camera.name), inputs.image_callback(role), NEWEST),
+            ]
         if inputs.needs_state:
             self._subscriptions += [
                 self.node.create_subscription(JointState, JOINT_STATES, inputs.on_joint_state, NEWEST),
@@ -213,6 +229,7 @@ class InferenceModule(Module):
         self._worker.progress()
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
+        self._check_age(observation, took_s)
         if not self._turn.is_shadow(self._inputs.captured_ns(observation)):
             self.status.set_value(StatusKey.NOTE, chunk.note)
             self._play(chunk, observation, count, stop)
@@ -223,9 +240,23 @@ class InferenceModule(Module):
         self.status.set_value("shadow_count", self._shadow_count)
         self._note_first(observation)
 
+    def _check_age(self, observation: Observation, took_s: float) -> None:
+        """Raise NotReadyError for an answer to an image that has become too old to act on meanwhile."""
+        assert self._inputs is not None
+        age_s = self._inputs.age_s(observation)
+        if age_s <= self._inputs.max_age_s:
+            return
+        self.status.dropped.add("late_action")
+        raise NotReadyError(
+            f"The backend answered after {took_s:.2f} s, to an image that was {age_s:.2f} s old by then; "
+            f"max_image_age_s = {self._inputs.max_age_s:g} are allowed, so nothing was published.",
+            hint="Make the backend faster, or allow older images under [inference].",
+        )
+
     def _note_first(self, observation: Observation) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
-        age_ms = (self.node.get_clock().now().nanoseconds - observation.stamp_ns) / 1e6
+        assert self._inputs is not None
+        age_ms = self._inputs.age_s(observation) * 1e3
         self.status.latency.add(age_ms)
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()

@@ -7,15 +7,18 @@ import time
 from collections.abc import Callable, Mapping
 
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 
 from roboneuron.contract import CameraProfile, Frame, GripperProfile, JointSample, Observation, Pose
 from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron.modules.sight import CalibratedCamera
 from roboneuron.modules.status import ModuleStatus
-from roboneuron.ros.messages import frame_from_message, joints_from_message, pose_from_message
+from roboneuron.ros.messages import joints_from_message, pose_from_message
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
 
 _HAND_OVER_S = 1e-5
+_FUTURE_NS = 100_000_000
+"""How far the clock of a camera on another machine may be ahead of this one."""
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
@@ -23,7 +26,7 @@ class NewestInputs:
     """Holds one frame per role and the newest proprioception; older ones are overwritten, never queued.
 
     `wait` hands out an observation when the first role has a frame that was not handed out before, all else is there,
-    and nothing is older than `max_age_s`.
+    and nothing is older than `max_age_s` or from the future.
     """
 
     def __init__(
@@ -41,11 +44,11 @@ class NewestInputs:
         self.needs_state = needs_state
         self._optional = optional
         self._gripper = gripper
-        self._max_age_ns = int(max_age_s * 1e9)
+        self.max_age_s = max_age_s
         self._status = status
         self._now_ns = now_ns
         self._frames: dict[str, Frame] = {}
-        self._shapes: dict[str, tuple[int, ...]] = {}
+        self._sights = {role: CalibratedCamera(camera) for role, camera in self.cameras.items()}
         self._joints: JointSample | None = None
         self._ee_pose: Pose | None = None
         self._fresh = threading.Condition()
@@ -55,12 +58,11 @@ class NewestInputs:
 
     def image_callback(self, role: str) -> Callable[[Image], None]:
         """Return the subscription callback of the camera with that role."""
-        camera = self.cameras[role]
+        sight = self._sights[role]
 
         def on_image(message: Image) -> None:
             try:
-                frame = frame_from_message(message, camera.name, camera)
-                self._check_size(role, frame)
+                frame = sight.to_frame(message)
             except InvalidInputError as error:
                 self._status.dropped.add("bad_image")
                 self._status.set_error(error)
@@ -74,16 +76,18 @@ class NewestInputs:
 
         return on_image
 
-    def _check_size(self, role: str, frame: Frame) -> None:
-        """A camera that changes its size is another camera: what was calibrated for it no longer holds."""
-        shape = frame.image.shape
-        expected = self._shapes.setdefault(role, shape)
-        if shape != expected:
-            raise InvalidInputError(
-                f"Camera {frame.camera!r} changed its image size from {expected[1]}x{expected[0]} to "
-                f"{shape[1]}x{shape[0]}; its images are not acted on.",
-                hint="Restart perception and inference if that is meant.",
-            )
+    def camera_info_callback(self, role: str) -> Callable[[CameraInfo], None]:
+        """Return the subscription callback of the calibration of the camera with that role."""
+        sight = self._sights[role]
+
+        def on_camera_info(message: CameraInfo) -> None:
+            try:
+                sight.set_info(message)
+            except InvalidInputError as error:
+                self._status.dropped.add("bad_camera_info")
+                self._status.set_error(error)
+
+        return on_camera_info
 
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""
@@ -132,6 +136,10 @@ class NewestInputs:
         """Capture time of the first role's image: the one that paces the loop, the same for every backend."""
         return observation.frames[self._leading].stamp_ns
 
+    def age_s(self, observation: Observation) -> float:
+        """Time since the oldest image of the observation was captured, by the clock of stamps."""
+        return (self._now_ns() - observation.stamp_ns) / 1e9
+
     def silence_s(self) -> float:
         """Seconds since the last observation was handed out."""
         return time.monotonic() - self._usable_s
@@ -144,17 +152,19 @@ class NewestInputs:
             frames = {role: self._frames[role] for role in self.cameras if role in self._frames}
             joints, ee_pose = self._joints, self._ee_pose
             self._used_ns = frames[self._leading].stamp_ns
-        limit_ns = self._now_ns() - self._max_age_ns
+        now_ns = self._now_ns()
+        limit_ns = now_ns - int(self.max_age_s * 1e9)
         for role, frame in list(frames.items()):
-            if frame.stamp_ns < limit_ns:
+            is_old, is_future = frame.stamp_ns < limit_ns, frame.stamp_ns > now_ns + _FUTURE_NS
+            if is_old or is_future:
                 if role not in self._optional:
-                    self._status.dropped.add("old_image")
+                    self._status.dropped.add("old_image" if is_old else "future_image")
                     return None
                 del frames[role]
         if self.needs_state and (joints is None or ee_pose is None):
             return None
-        if joints is not None and joints.stamp_ns < limit_ns:
-            self._status.dropped.add("old_joint_state")
+        if joints is not None and not limit_ns <= joints.stamp_ns <= now_ns + _FUTURE_NS:
+            self._status.dropped.add("old_joint_state" if joints.stamp_ns < limit_ns else "future_joint_state")
             return None
         self._usable_s = time.monotonic()
         return Observation(

@@ -8,19 +8,19 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract.action import ACTION_LABEL, ACTION_SIZE
 from roboneuron.contract.image import frame_from_buffer
 from roboneuron.contract.motion import JointCommand
-from roboneuron.contract.observation import Frame, JointSample, Pose
-from roboneuron.contract.profile import CameraProfile
+from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
 F64 = NDArray[np.float64]
+_HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
 def to_time(stamp_ns: int) -> Time:
@@ -45,12 +45,45 @@ def to_image(frame: Frame) -> Image:
     return message
 
 
-def frame_from_message(message: Image, camera: str, profile: CameraProfile | None = None) -> Frame:
+def to_camera_info(frame: Frame) -> CameraInfo | None:
+    """Intrinsics of a frame -> sensor_msgs/CameraInfo of a camera without distortion; None when not calibrated.
+
+    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract at integers + 0.5.
+    """
+    if frame.calibration is None:
+        return None
+    height, width = frame.image.shape[:2]
+    message = CameraInfo(height=height, width=width, distortion_model="plumb_bob", d=[0.0] * 5)
+    message.header.stamp = to_time(frame.stamp_ns)
+    message.header.frame_id = frame.frame_id
+    intrinsics = frame.calibration.intrinsics - _HALF_PIXEL
+    message.k = intrinsics.ravel().tolist()
+    message.r = np.eye(3).ravel().tolist()
+    message.p = np.hstack([intrinsics, np.zeros((3, 1))]).ravel().tolist()
+    return message
+
+
+def intrinsics_from_camera_info(message: CameraInfo) -> F64:
+    """sensor_msgs/CameraInfo -> float64 (3, 3) [px] in the contract's convention (see `CameraCalibration`).
+
+    Raises:
+        InvalidInputError: the camera was never calibrated (focal length 0), or a value is not finite.
+    """
+    intrinsics = np.array(message.k, dtype=np.float64).reshape(3, 3)
+    if not np.isfinite(intrinsics).all() or intrinsics[0, 0] <= 0 or intrinsics[1, 1] <= 0:
+        raise InvalidInputError(
+            f"The camera_info of {message.header.frame_id!r} holds no calibration: k is {intrinsics.ravel().tolist()}."
+        )
+    calibrated: F64 = intrinsics + _HALF_PIXEL
+    return calibrated
+
+
+def frame_from_message(message: Image, camera: str, calibration: CameraCalibration | None = None) -> Frame:
     """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
 
     Args:
         camera: the camera's name.
-        profile: where the calibration comes from; the frame has none without it.
+        calibration: of this camera at this image size.
 
     Raises:
         InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
@@ -66,7 +99,7 @@ def frame_from_message(message: Image, camera: str, profile: CameraProfile | Non
         image=image,
         stamp_ns=stamp_ns,
         frame_id=message.header.frame_id or camera,
-        calibration=profile.calibration_at(message.width, message.height) if profile else None,
+        calibration=calibration,
     )
 
 

@@ -11,3 +11,8 @@ DIAGNOSTICS = "/diagnostics"
 def camera_image(name: str) -> str:
     """Topic of a camera's images."""
     return f"camera/{name}/image"
+
+
+def camera_info(name: str) -> str:
+    """Topic of a camera's calibration, one message for each image."""
+    return f"camera/{name}/camera_info"

@@ -8,7 +8,6 @@ import random
 import tempfile
 from collections import deque
 from pathlib import Path
-from typing import IO
 
 DOMAINS = range(30, 101)
 """Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID"."""
@@ -16,7 +15,7 @@ DOMAINS = range(30, 101)
 _POOL = 6
 """Domains one process takes turns with, so that what an ended test left on the graph is not met by the next one."""
 
-_held: deque[tuple[int, IO[str]]] = deque()
+_held: deque[int] = deque()
 
 
 def free_ros_domain() -> int:
@@ -27,19 +26,19 @@ def free_ros_domain() -> int:
     """
     if len(_held) == _POOL:
         _held.rotate(-1)
-        return _held[-1][0]
+        return _held[-1]
     folder = Path(tempfile.gettempdir()) / f"roboneuron-domains-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        lock = (folder / str(domain)).open("w")
+        lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            lock.close()
+            os.close(lock)
             continue
-        _held.append((domain, lock))
+        _held.append(domain)
         return domain
     if _held:
         _held.rotate(-1)
-        return _held[-1][0]
+        return _held[-1]
     raise RuntimeError(f"Every ROS domain of {DOMAINS} is held by another test process. Look who locks {folder}/*.")
