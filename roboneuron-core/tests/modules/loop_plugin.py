@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -33,6 +34,7 @@ from roboneuron.plugins.specs import (
     DriverSpec,
     PerceptionSpec,
     RobotSpec,
+    RuntimeSpec,
 )
 
 JOINTS = ("a", "b")
@@ -54,7 +56,22 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             name=name, summary="x", target=f"loop_plugin:{cls}", action_space=SPACE, needs_state=name == "picky"
         )
         for name, cls in names.items()
+    ] + [
+        BackendSpec(
+            name="served",
+            summary="x",
+            target="loop_plugin:Served",
+            action_space=SPACE,
+            family="pair",
+            runtimes_required=True,
+            default_runtime="patient",
+        )
     ]
+
+
+@hookimpl
+def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
+    return [RuntimeSpec(name="patient", summary="x", target="loop_plugin:Patient", families=("pair",))]
 
 
 @hookimpl
@@ -134,6 +151,39 @@ class Chunked(Instant):
         actions = np.zeros((5, 7))
         actions[:, 0] = np.arange(5) / 1000
         return ActionChunk(actions=actions, step_s=0.05)
+
+
+class Patient:
+    """A runtime whose requests last a minute, unless they are given up."""
+
+    def __init__(self, config: None) -> None:
+        self.running = False
+        self._aborted = threading.Event()
+
+    def load(self, model: Any, acceleration: Any = None) -> None: ...
+
+    def run(self, request: Any) -> Any:
+        self._aborted.clear()
+        self.running = True
+        given_up = self._aborted.wait(60.0)
+        self.running = False
+        if given_up:
+            raise NotReadyError("The request was given up.")
+
+    def abort(self) -> None:
+        self._aborted.set()
+
+    def close(self) -> None: ...
+
+
+class Served(Instant):
+    def __init__(self, config: None, runtime: Patient, acceleration: Any = None) -> None:
+        super().__init__(config)
+        self.runtime = runtime
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        self.runtime.run("what to do")
+        return super().predict(observation)
 
 
 class Noise:

@@ -14,6 +14,7 @@ from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract import JointCommand
+from roboneuron.modules import robot as robot_module
 from roboneuron.ros.messages import to_joint_trajectory
 from roboneuron.ros.qos import LATCHED
 
@@ -82,6 +83,35 @@ def test_damaged_command_is_counted_and_moves_nothing(
     world.publisher(JointTrajectory, "joint_trajectory").publish(message)
     assert wait_until(lambda: status_of(robot).get("dropped.malformed_command") == "1")
     assert not robot.module._driver.sent
+
+
+@pytest.mark.parametrize(("jump_s", "word"), [(-3600.0, "future_command"), (3600.0, "stale_command")])
+def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
+    world: Any,
+    robot: Any,
+    wait_until: Callable[..., bool],
+    status_of: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    jump_s: float,
+    word: str,
+) -> None:
+    """A command from the future may be an old one: as long as the clocks are apart, its age is not known."""
+
+    class Shifted:
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time_ns() -> int:
+            return time.time_ns() + int(jump_s * 1e9)
+
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    with monkeypatch.context() as patch:
+        patch.setattr(robot_module, "time", Shifted)
+        publisher.publish(command(0.1))
+        assert wait_until(lambda: status_of(robot).get(f"dropped.{word}") == "1")
+    assert not robot.module._driver.sent
+    publisher.publish(command(0.2))
+    assert wait_until(lambda: robot.module._driver.position[0] == 0.2)
 
 
 def test_emergency_stop_holds_the_driver_and_refuses_commands(

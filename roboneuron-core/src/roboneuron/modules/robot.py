@@ -24,6 +24,8 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 _JOINT_STATE_STEP_S = 0.1
 """Time given to reach a position that came without one (JointState commands)."""
 _DETAIL_PERIOD_S = 0.1
+_FUTURE_S = 0.1
+"""How far the clock of another machine may be ahead of this one: what a wrong clock sends cannot be told from old."""
 
 
 class RobotModule(Module):
@@ -130,10 +132,11 @@ class RobotModule(Module):
         if self.node.stopped:
             self.status.dropped.add("emergency_stop")
             return False
-        if (time.time_ns() - int(info["source_timestamp"])) / 1e9 > self.config.robot.command_timeout_s:
-            self.status.dropped.add("stale_command")
+        age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
+        if age_s > self.config.robot.command_timeout_s or age_s < -_FUTURE_S:
+            self.status.dropped.add("stale_command" if age_s > 0 else "future_command")
             return False
-        self.status.latency.add((time.time_ns() - int(info["source_timestamp"])) / 1e6)
+        self.status.latency.add(age_s * 1e3)
         return True
 
     def _take(self, read: Any) -> None:

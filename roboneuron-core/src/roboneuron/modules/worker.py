@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 from roboneuron.errors import InternalError, RoboNeuronError
 from roboneuron.modules.status import ModuleStatus
 
 _RETRY_S = 0.05
+_GIVE_UP_S = 0.1
 LIMIT_S = 0.4
 """A step that takes longer than this makes the module count as stalled, unless it says otherwise."""
 log = logging.getLogger(__name__)
+
+
+def _wait_only() -> None:
+    """The step ends by itself."""
 
 
 class Worker:
@@ -50,13 +56,19 @@ class Worker:
         self._thread = threading.Thread(target=self._run, args=(self._stop,), name=self._name, daemon=True)
         self._thread.start()
 
-    def stop(self, timeout_s: float = 2.0) -> bool:
-        """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent."""
+    def stop(self, timeout_s: float = 2.0, give_up: Callable[[], None] = _wait_only) -> bool:
+        """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent.
+
+        `give_up` is called at once and then every 0.1 s while the thread runs: it ends what the step waits for.
+        """
         self._stop.set()
         thread, self._thread = self._thread, None
         if thread is None or thread is threading.current_thread():
             return True
-        thread.join(timeout_s)
+        deadline_s = time.monotonic() + timeout_s
+        while thread.is_alive() and time.monotonic() < deadline_s:
+            give_up()
+            thread.join(min(_GIVE_UP_S, timeout_s))
         return not thread.is_alive()
 
     def _run(self, stop: threading.Event) -> None:
