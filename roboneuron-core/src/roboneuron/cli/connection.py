@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,16 +38,15 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     Raises:
         ConfigurationError: there is no such server, it refuses the token, or the token's variable is not set.
     """
-    from mcp import Client, StdioServerParameters  # heavy
-
     if arguments.url is None:
-        command = ["-P", "-m", "roboneuron.cli.main", "serve", "--transport", "stdio", "--log-level", "error"]
+        options = ["--log-level", "error"]
         if arguments.config is not None:
-            command += ["--config", str(arguments.config)]
-        async with Client(StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))) as client:
+            options += ["--config", str(arguments.config)]
+        async with spawned_server(options) as client:
             yield client
         return
     import httpx2  # heavy; the client library of mcp 2
+    from mcp import Client  # heavy
     from mcp.client.streamable_http import streamable_http_client  # heavy
     from mcp.shared.exceptions import MCPError
 
@@ -64,6 +63,42 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
         if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError):
             raise
         raise ConfigurationError(f"The server at {arguments.url} does not answer as one: {cause}.") from cause
+
+
+@asynccontextmanager
+async def spawned_server(options: Sequence[str], log: Path | None = None) -> AsyncIterator[Client]:
+    """A client of a server that this process starts and ends.
+
+    Args:
+        options: of `roboneuron serve`.
+        log: file for what the server writes to its standard error; None for this process's own.
+
+    Raises:
+        ConfigurationError: the server ended before it answered; its last words are in the message.
+    """
+    from mcp import Client, StdioServerParameters  # heavy
+    from mcp.client.stdio import stdio_client  # heavy
+    from mcp.shared.exceptions import MCPError
+
+    words = ["-P", "-m", "roboneuron.cli.main", "serve", "--transport", "stdio", *options]
+    server = StdioServerParameters(command=sys.executable, args=words, env=dict(os.environ))
+    answered = False
+    with nullcontext(sys.stderr) if log is None else log.open("w", encoding="utf-8") as errors:
+        try:
+            async with Client(stdio_client(server, errlog=errors)) as client:
+                answered = True
+                yield client
+        except (MCPError, ExceptionGroup) as error:
+            if answered or not all(isinstance(leaf, MCPError | OSError) for leaf in _leaves(error)):
+                raise
+            raise ConfigurationError("The server ended before it answered.", hint=_last_words(log)) from error
+
+
+def _last_words(log: Path | None) -> str:
+    if log is None:
+        return "What it said stands above."
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    return f"Its last words: {lines[-1] if lines else 'none'}\nAll of them: {log}"
 
 
 async def _knock(http: object, url: str) -> None:
