@@ -9,6 +9,7 @@ from typing import Any
 
 import anyio
 import pytest
+from mcp import Client
 
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.server.app import Application
@@ -227,3 +228,47 @@ def test_the_desk_waits_for_motions_to_end(application: Application) -> None:
     assert application.direct.desk.end_all("It is over.", 2.0)
     thread.join(5)
     application.direct.desk.check_free(exposed)
+
+
+def test_pressing_the_stop_wakes_what_moves(application: Application, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("roboneuron.server.direct.motion.POLL_S", 60.0)
+    exposed = application.direct._exposure.endpoints[0]
+    entered = threading.Event()
+
+    def move() -> None:
+        with application.direct.desk.claim(exposed, "a test", threading.Event()) as motion:
+            entered.set()
+            with pytest.raises(RefusedError, match="latched by somebody: a test"):
+                motion.sleep_until(time.monotonic() + 60)
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    assert entered.wait(5)
+    application.loop.emergency_stop.file.press(who="somebody", reason="a test")
+    thread.join(5)
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("arguments", [{"reason": "first of all"}, {"resaon": "misspelt"}, {"reason": 7}])
+def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
+    application: Application, monkeypatch: pytest.MonkeyPatch, arguments: dict[str, Any]
+) -> None:
+    joined = threading.Event()
+    link = type(application.supervisor).link
+    monkeypatch.setattr(
+        type(application.supervisor), "link", property(lambda self: joined.wait(30) and link.fget(self))
+    )
+    application._is_joining = True
+    latch = application.loop.emergency_stop.file
+
+    async def scenario() -> None:
+        async with Client(application.server) as client, anyio.create_task_group() as group:
+            group.start_soon(lambda: client.call_tool("emergency_stop", arguments))
+            with anyio.fail_after(10):
+                while not latch.path.exists():
+                    await anyio.sleep(0.002)
+            assert not joined.is_set()
+            joined.set()
+
+    anyio.run(scenario)
+    assert latch.is_latched()

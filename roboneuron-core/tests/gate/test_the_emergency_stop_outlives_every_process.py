@@ -112,3 +112,17 @@ def test_pressing_from_many_threads_leaves_one_whole_file(latch) -> None:
         thread.join()
     assert latch.read_state().who.startswith("t")
     assert os.listdir(latch.path.parent) == [latch.path.name]
+
+
+def test_who_listens_is_told_before_anything_is_written(latch) -> None:
+    seen = []
+    latch.on_press(lambda: seen.append((latch.is_latched(), latch.path.exists(), latch.read_state().who)))
+    latch.latch(who="a", reason="b")
+    latch.latch(who="c", reason="d")
+    assert seen == [(True, False, "a")]
+
+
+def test_pressing_waits_for_no_disk(latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: pytest.fail("the disk was waited for"))
+    latch.press(who="a", reason="b")
+    assert json.loads(latch.path.read_text())["who"] == "a"

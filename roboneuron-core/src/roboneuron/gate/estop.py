@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,11 +42,19 @@ class EmergencyStopLatch:
         """
         self.path = path
         self._clock_ns = clock_ns
-        self._unwritten = False
+        self._pressed: LatchState | None = None
+        self._listeners: list[Callable[[], object]] = []
+
+    def on_press(self, listener: Callable[[], object]) -> None:
+        """Have `listener` called when this process presses the stop, before anything is written.
+
+        It runs on the pressing thread, must return at once and must not raise: it wakes what moves.
+        """
+        self._listeners.append(listener)
 
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
-        if self._unwritten:
+        if self._pressed is not None:
             return True
         try:
             os.stat(self.path)
@@ -67,6 +75,8 @@ class EmergencyStopLatch:
 
     def read_state(self) -> LatchState:
         """Who latched it and why, as far as the file tells."""
+        if (pressed := self._pressed) is not None:
+            return pressed
         if not self.is_latched():
             return LatchState(latched=False)
         try:
@@ -79,40 +89,59 @@ class EmergencyStopLatch:
             return LatchState(latched=True)
 
     def latch(self, *, who: str, reason: str) -> LatchState:
-        """Forbid motion for every process; the first cause is kept when it is latched already.
+        """`press`, and have it outlive a loss of power; returns the first cause when it is latched already.
+
+        Raises:
+            UnsafeError: as `press`.
+        """
+        state = self.press(who=who, reason=reason)
+        with suppress(OSError):  # it stops all the same
+            self._sync()
+        return state
+
+    def press(self, *, who: str, reason: str) -> LatchState:
+        """Forbid motion for every process; waits for no disk, so that it may be called where nothing may block.
 
         Raises:
             UnsafeError: the file cannot be created: only this process is stopped, the others do not know.
         """
-        if self.is_latched() and not self._unwritten:
+        if self._pressed is None and self.is_latched():
             return self.read_state()
-        self._unwritten = True  # this process stops at once, whatever the disk says
         state = LatchState(latched=True, who=who[:200], reason=reason[:500], time_ns=self._clock_ns())
+        self._pressed = state  # this process stops at once, whatever the disk says
+        for listener in self._listeners:
+            listener()
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            os.close(os.open(self.path, os.O_CREAT | os.O_WRONLY | os.O_CLOEXEC, 0o644))
+            self._create(state)
         except OSError as error:
             raise UnsafeError(
                 f"The emergency stop cannot be written to {self.path}: {error.strerror}; only this process is stopped.",
                 hint="Use the robot's own stop.",
             ) from error
-        self._unwritten = False
-        self._write_cause(state)
+        self._pressed = None
         return state
 
-    def _write_cause(self, state: LatchState) -> None:
-        """Put the cause into the file, whole or not at all; the latch holds without it."""
-        text = json.dumps({"who": state.who, "reason": state.reason, "time_ns": state.time_ns})
-        temporary = self.path.with_name(f"{self.path.name}.{os.getpid()}.{threading.get_ident()}")
+    def _create(self, state: LatchState) -> None:
+        """Make the file with its cause; the latch holds without it, and the cause that came first is kept."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with temporary.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(self.path)
-            _sync_directory(self.path.parent)
-        except OSError:
-            temporary.unlink(missing_ok=True)
+            descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+        except FileExistsError:
+            return
+        text = json.dumps({"who": state.who, "reason": state.reason, "time_ns": state.time_ns})
+        try:
+            with suppress(OSError):
+                os.write(descriptor, text.encode())
+        finally:
+            os.close(descriptor)
+
+    def _sync(self) -> None:
+        descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        _sync_directory(self.path.parent)
 
     def reset(self, *, who: str, role: str, audit: AuditLog) -> None:
         """Allow motion again; nothing moves by itself.
@@ -143,7 +172,7 @@ class EmergencyStopLatch:
                 _sync_directory(self.path.parent)
         except OSError as error:
             raise StateError(f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched.") from error
-        self._unwritten = False
+        self._pressed = None
 
 
 def _sync_directory(folder: Path) -> None:

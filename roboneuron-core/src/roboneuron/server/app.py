@@ -31,6 +31,7 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.operating import Operating
+from roboneuron.server.pauses import shorten_pauses
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.records import record_tools
@@ -133,6 +134,7 @@ class Application:
             ],
             admit=self.operating.admit,
             most_calls=config.server.max_concurrent_calls,
+            ready=self._join_ros,
         )
         self.direct.fill(self.tools)
         self.resources = Resources(self.loop, self._started_s)
@@ -163,6 +165,11 @@ class Application:
                 await to_thread.run_sync(lambda: self.supervisor.link)
             self._is_joining = False
 
+    async def settle(self) -> None:
+        """Once ROS is joined: see `shorten_pauses`."""
+        await self._join_ros()
+        await to_thread.run_sync(shorten_pauses)
+
     def _on_lapse(self, reason: str) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
         self.direct.desk.end_all(reason, _LAPSE_S)
@@ -183,7 +190,6 @@ class Application:
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
         ) -> types.CallToolResult:
-            await self._join_ros()
             return await self.tools.call(params.name, params.arguments or {}, RequestContext(context))
 
         async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
@@ -248,6 +254,7 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
     log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal, group.cancel_scope)
+        group.start_soon(application.settle)
         # The streams only need to be iterated and written to.
         async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
             server = application.server

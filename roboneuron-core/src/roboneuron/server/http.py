@@ -124,5 +124,6 @@ async def _serve(application: Application, border: Border, listener: socket.sock
     log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal)
+        group.start_soon(application.settle)
         await server.serve(sockets=[listener])
         group.cancel_scope.cancel()

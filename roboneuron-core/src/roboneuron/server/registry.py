@@ -6,7 +6,7 @@ import json
 import logging
 import uuid
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
 from mcp import types
@@ -30,6 +30,7 @@ class ToolRegistry:
         tools: the first ones.
         admit: raises RoboNeuronError for a call that is not to be made now.
         most_calls: more calls at once are refused, whoever makes them; what stops something is never refused.
+        ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
     """
 
     def __init__(
@@ -38,8 +39,10 @@ class ToolRegistry:
         *,
         most_calls: int = 64,
         admit: Callable[[Tool[Any] | DerivedTool, CallContext], None] = lambda tool, context: None,
+        ready: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         self._admit = admit
+        self._ready = ready
         self._most_calls = most_calls
         self._calls = 0
         self._tools: dict[str, Tool[Any]] = {}
@@ -105,6 +108,10 @@ class ToolRegistry:
         try:
             tool = self._find(name)
             check_role(tool, context)
+            if isinstance(tool, Tool) and tool.urgent is not None:
+                tool.urgent(arguments, context)
+            if self._ready is not None:
+                await self._ready()
             self._admit(tool, context)
             if self._calls > self._most_calls and not tool.always:
                 raise NotReadyError(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from pydantic import Field
 
+from roboneuron.errors import UnsafeError
 from roboneuron.gate.request import ADMIN, VIEWER
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import EmergencyStopResult
@@ -21,6 +24,11 @@ class EmergencyStopArguments(Arguments):
 def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """emergency_stop and reset_emergency_stop."""
     stop = loop.emergency_stop
+
+    def press(arguments: Mapping[str, Any], context: CallContext) -> None:
+        """Latch before anything else: also when ROS is not joined yet, and when the arguments are wrong."""
+        with suppress(UnsafeError):  # told by the call itself, which tries again
+            stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
 
     async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
         confirmed, took_s = await context.run(
@@ -53,6 +61,7 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             open_world=True,
             role=VIEWER,  # whoever sees the robot may stop it
             always=True,
+            urgent=press,
         ),
         Tool(
             name="reset_emergency_stop",

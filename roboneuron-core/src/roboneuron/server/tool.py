@@ -94,6 +94,8 @@ class Tool(Generic[A]):
         choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
         role: least role of a caller; when empty, viewers may call what is read-only and operators everything else.
         always: it stops something, so it is done however many calls are at work already.
+        urgent: done first of all, on the event loop, before the arguments are checked and anything is waited for;
+            must not block or raise.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Tool(Generic[A]):
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
     role: str = ""
     always: bool = False
+    urgent: Callable[[Mapping[str, Any], CallContext], object] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -34,6 +34,7 @@ class Motion:
         """
         self._gate.check_running()
         if self._halt.is_set():
+            self._gate.check_running()  # the stop was pressed since the look above
             raise StateError(self._end_reason or "The call was cancelled.")
         policy = self._policy()
         if policy:
@@ -47,6 +48,10 @@ class Motion:
             if remaining_s <= 0:
                 return
             self._halt.wait(min(POLL_S, remaining_s))
+
+    def wake(self) -> None:
+        """Look at the latch now; callable from any thread."""
+        self._halt.set()
 
     def end(self, reason: str) -> None:
         """Have it end now; callable from any thread."""
@@ -67,6 +72,12 @@ class MotionDesk:
         self._lock = threading.Lock()
         self._moving: dict[str, Motion] = {}
         self._idle = threading.Condition(self._lock)
+        gate.latch.on_press(self._wake)
+
+    def _wake(self) -> None:
+        """The stop was pressed in this process: nobody waits for the next look at the latch."""
+        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+            motion.wake()
 
     def check_free(self, exposed: Exposed) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
