@@ -85,6 +85,9 @@ class ControlConfig(_Section):
     command: Literal["joint_trajectory", "joint_state"] = Field(
         default="joint_trajectory", description="message type of the command topic"
     )
+    switch_max_difference: Annotated[float, Field(gt=0)] = Field(
+        default=0.05, description="a warm switch to commands or TCP poses that differ more [rad or m] is refused"
+    )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
 
 
@@ -228,6 +231,13 @@ class DiscoverConfig(_Section):
     robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
         default=10.0, description="most calls per second of each endpoint"
+    )
+    limits: dict[str, dict[str, Range]] = Field(
+        default_factory=dict,
+        description='[lowest, highest] by field path, by type; `"*"` is every other number of the type',
+    )
+    unlimited: tuple[str, ...] = Field(
+        default=(), strict=False, description="types whose numbers may be sent though nothing limits them"
     )
     period_s: Annotated[float, Field(ge=0.1, le=60)] = Field(default=1.0, description="how often it is looked at")
     most: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="most endpoints of this pattern")

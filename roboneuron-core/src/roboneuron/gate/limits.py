@@ -12,11 +12,21 @@ from roboneuron.contract import TWIST_FIELDS, Endpoint, check_twist
 from roboneuron.errors import ConfigurationError, RefusedError
 from roboneuron.gate.fields import find_nonfinite, find_outside, read_number, type_name_of
 from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
-from roboneuron.interfaces import ActionInterface, Array, FieldType, Message, Scalar, ServiceInterface, load_interface
+from roboneuron.interfaces import (
+    ActionInterface,
+    Array,
+    FieldType,
+    Message,
+    Nested,
+    Scalar,
+    ServiceInterface,
+    load_interface,
+)
 
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
 _TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration", "std_msgs/msg/Header")
 _SUFFIX = {"service": "_Request", "action": "_Goal"}
 
 
@@ -87,6 +97,19 @@ def check_endpoint(endpoint: Endpoint) -> None:
             )
         if not low <= high or (_is_integer(numbers[path]) and not _are_integers(low, high)):
             raise ConfigurationError(f"{where}: the bounds of {path} are [{low}, {high}].")
+
+
+def number_fields(endpoint: Endpoint) -> list[str]:
+    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move nothing."""
+    numbers: list[str] = []
+    times: list[str] = []
+    for path, part in _sent_message(endpoint).walk():
+        element = part.type.element if isinstance(part.type, Array) else part.type
+        if isinstance(element, Nested) and element.message.type_name in _TIMES:
+            times.append(f"{path}.")
+        elif _is_number(part.type) and not path.startswith(tuple(times)):
+            numbers.append(path)
+    return numbers
 
 
 def _sent_message(endpoint: Endpoint) -> Message:

@@ -9,17 +9,20 @@ import threading
 from collections.abc import Callable, Mapping
 
 from roboneuron.config import Config, DiscoverConfig
-from roboneuron.contract import Endpoint
+from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import check_endpoint
 from roboneuron.interfaces import load_interface
-from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.endpoints import Exposed, check_stop
+from roboneuron.server.direct.found import limit
 from roboneuron.server.direct.naming import to_label
 from roboneuron.server.direct.traffic import Traffic
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]
 """Type by absolute name, by kind."""
+_MEASURED = re.compile(r"(^|/)(joint_states|ee_pose|tf|tf_static|clock|camera/[^/]+/image)$")
+"""Read, but never written by a pattern: what the robot is believed to have measured."""
 _SILENT = re.compile(r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$")
 """Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for itself."""
 _PARAMETER_SERVICE = re.compile(r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$")
@@ -28,14 +31,30 @@ _PARAMETER_SERVICE = re.compile(r"/(set|get|list|describe)_parameters?(_types|_a
 class LiveGraph:
     """Looks at the graph in a thread of its own and tells what matches, whenever that changes."""
 
-    def __init__(self, config: Config, traffic: Traffic, on_found: Callable[[tuple[Exposed, ...]], None]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        traffic: Traffic,
+        known: Callable[[], tuple[Exposed, ...]],
+        profile: Callable[[str], RobotProfile | None],
+        on_found: Callable[[tuple[Exposed, ...]], None],
+    ) -> None:
+        """Args:
+        config: its `discover` says what is looked for.
+        traffic: the way to the graph.
+        known: what is exposed by name.
+        profile: the facts of a robot, None when no plugin knows it.
+        on_found: told what matches now, on the thread that looks.
+        """
+        self._known = known
+        self._profile = profile
         self._config = config
         self._traffic = traffic
         self._on_found = on_found
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._seen: Kinds = {}
-        self._refused: set[str] = set()
+        self._refused: set[tuple[str, str]] = set()
 
     def start(self) -> None:
         """Begin, if the configuration has a pattern; returns at once."""
@@ -70,7 +89,7 @@ class LiveGraph:
             count = 0
             for kind in entry.kinds:
                 for name, type_name in sorted(live[kind].items()):
-                    if (kind, name) in found or count >= entry.most or not _fits(entry, name):
+                    if (kind, name) in found or count >= entry.most or not _fits(entry, kind, name):
                         continue
                     exposed = self._expose(entry, kind, name, type_name)
                     if exposed is not None:
@@ -85,14 +104,21 @@ class LiveGraph:
         endpoint = Endpoint(name=label, kind=kind, topic=name, type=type_name, summary="", rate_hz=entry.rate_hz or 0.0)
         try:
             check_endpoint(endpoint)
-            interface = load_interface(type_name)
+            bare = Exposed(
+                robot=robot, namespace=namespace, label=label, endpoint=endpoint,
+                interface=load_interface(type_name), profile=self._profile(robot),
+            )  # fmt: skip
+            exposed = limit(bare, entry, self._known())
+            check_stop(exposed)
         except RoboNeuronError as error:
-            if name not in self._refused:
-                self._refused.add(name)
-                log.warning("%s is not exposed: %s", name, error)
+            if (kind, name) not in self._refused:
+                self._refused.add((kind, name))
+                log.warning("%s is not exposed (%s): %s", name, kind, error)
             return None
-        return Exposed(robot=robot, namespace=namespace, label=label, endpoint=endpoint, interface=interface)
+        return exposed
 
 
-def _fits(entry: DiscoverConfig, name: str) -> bool:
-    return fnmatch.fnmatchcase(name, entry.pattern) and not _SILENT.search(name) and not _PARAMETER_SERVICE.search(name)
+def _fits(entry: DiscoverConfig, kind: str, name: str) -> bool:
+    if not fnmatch.fnmatchcase(name, entry.pattern) or _SILENT.search(name) or _PARAMETER_SERVICE.search(name):
+        return False
+    return kind != "publish" or not _MEASURED.search(name)

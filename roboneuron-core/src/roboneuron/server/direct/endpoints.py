@@ -164,7 +164,7 @@ def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
         name = f"{draft.label[:50]}_{draft.endpoint.kind}" if shared else draft.label
         made = replace(draft, endpoint=replace(draft.endpoint, name=name)) if name != draft.endpoint.name else draft
         check_endpoint(made.endpoint)
-        _check_stop(made)
+        check_stop(made)
         yield made
 
 
@@ -254,8 +254,8 @@ def _node(entry: ExposeConfig, robot: _Robot) -> ParameterNode:
     )
 
 
-def _check_stop(exposed: Exposed) -> None:
-    """The stop message must be one that the endpoint takes."""
+def check_stop(exposed: Exposed) -> None:
+    """Raise ConfigurationError unless the stop message is one that the endpoint takes."""
     if not exposed.endpoint.stop_message:
         return
     where = f"The stop message of {exposed.endpoint.name!r}"

@@ -10,15 +10,18 @@ from dataclasses import replace
 from typing import Any
 
 from roboneuron.config import Config
+from roboneuron.contract import RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate
 from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
+from roboneuron.modules.plugin import load_profile
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arm import arm_endpoints, arm_tools
 from roboneuron.server.direct.derive import derive_tools
 from roboneuron.server.direct.directory import directory_tools
 from roboneuron.server.direct.discovery import LiveGraph
 from roboneuron.server.direct.endpoints import Exposed, Exposure, exposure, unique
+from roboneuron.server.direct.found import check_patterns
 from roboneuron.server.direct.generic import generic_tools
 from roboneuron.server.direct.motion import MotionDesk
 from roboneuron.server.direct.parameters import parameter_endpoints, parameter_tools
@@ -60,9 +63,10 @@ class DirectPath:
             gate=self.gate, desk=self.desk, traffic=self.traffic, max_duration_s=config.direct.max_duration_s
         )
         self._exposure = Exposure()
+        self._named: tuple[Exposed, ...] = ()
         self._found: tuple[Exposed, ...] = ()
         self._all: dict[str, DerivedTool] = {}
-        self._graph = LiveGraph(config, self.traffic, self._on_found)
+        self._graph = LiveGraph(config, self.traffic, lambda: self._named, self._profile, self._on_found)
 
     def tools(self) -> list[Tool[Any]]:
         """The tools that are there whatever is exposed."""
@@ -75,6 +79,7 @@ class DirectPath:
             ConfigurationError, PluginError, MissingDependencyError: as `endpoints.exposure`.
         """
         self._registry = registry
+        check_patterns(self._loop.config)
         self._derive(self._configured())
 
     def refresh(self) -> None:
@@ -105,8 +110,14 @@ class DirectPath:
         """Allow list first, tools then: a tool is never there before its endpoint is allowed."""
         assert self._registry is not None
         with self._lock:
+            self._named = configured.endpoints
             known = {(e.robot, e.label, e.endpoint.kind) for e in configured.endpoints}
-            new = [e for e in self._found if (e.robot, e.label, e.endpoint.kind) not in known]
+            used = {(e.topic, e.endpoint.kind) for e in configured.endpoints}  # a pattern is no way around their limits
+            new = [
+                e
+                for e in self._found
+                if (e.robot, e.label, e.endpoint.kind) not in known and (e.topic, e.endpoint.kind) not in used
+            ]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
             self.gate.replace([*(e.allowed() for e in endpoints), *(e.allowed() for e in nodes)])
@@ -128,6 +139,10 @@ class DirectPath:
             return list(self._all.values())
         unlisted = [replace(tool, listed=False) for tool in derived]
         return [*fixed, *directory_tools(lambda: self._all), *unlisted]
+
+    def _profile(self, robot: str) -> RobotProfile | None:
+        registry = self._loop.plugins.current()
+        return load_profile(registry, robot) if robot in registry.specs("robot") else None
 
     def _on_found(self, found: tuple[Exposed, ...]) -> None:
         self._found = found
