@@ -29,7 +29,9 @@ ALLOWED: dict[str, set[str]] = {
     "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
     "testing": CONTRACT | {"plugins"},
-    "demo": LIGHT | {"config"},  # an ordinary MCP client: no private calls
+    "client": LIGHT,
+    "demo": LIGHT | {"config", "client"},  # an ordinary MCP client: no private calls
+    "doctor": CONTRACT | {"plugins", "config", "gate", "ros", "server"},
 }
 """Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
 ROS_ROOMS = {"ros", "modules", "interfaces"}

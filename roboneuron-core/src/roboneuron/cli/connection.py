@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import asynccontextmanager, nullcontext
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from roboneuron.client import leaves_of, spawned_server
 from roboneuron.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -59,46 +59,10 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
             async with Client(streamable_http_client(arguments.url, http_client=http)) as client:
                 yield client
     except (httpx2.HTTPError, httpx2.InvalidURL, MCPError, ExceptionGroup) as error:
-        cause = next(_leaves(error))
+        cause = next(leaves_of(error))
         if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError):
             raise
         raise ConfigurationError(f"The server at {arguments.url} does not answer as one: {cause}.") from cause
-
-
-@asynccontextmanager
-async def spawned_server(options: Sequence[str], log: Path | None = None) -> AsyncIterator[Client]:
-    """A client of a server that this process starts and ends.
-
-    Args:
-        options: of `roboneuron serve`.
-        log: file for what the server writes to its standard error; None for this process's own.
-
-    Raises:
-        ConfigurationError: the server ended before it answered; its last words are in the message.
-    """
-    from mcp import Client, StdioServerParameters  # heavy
-    from mcp.client.stdio import stdio_client  # heavy
-    from mcp.shared.exceptions import MCPError
-
-    words = ["-P", "-m", "roboneuron.cli.main", "serve", "--transport", "stdio", *options]
-    server = StdioServerParameters(command=sys.executable, args=words, env=dict(os.environ))
-    answered = False
-    with nullcontext(sys.stderr) if log is None else log.open("w", encoding="utf-8") as errors:
-        try:
-            async with Client(stdio_client(server, errlog=errors)) as client:
-                answered = True
-                yield client
-        except (MCPError, ExceptionGroup) as error:
-            if answered or not all(isinstance(leaf, MCPError | OSError) for leaf in _leaves(error)):
-                raise
-            raise ConfigurationError("The server ended before it answered.", hint=_last_words(log)) from error
-
-
-def _last_words(log: Path | None) -> str:
-    if log is None:
-        return "What it said stands above."
-    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return f"Its last words: {lines[-1] if lines else 'none'}\nAll of them: {log}"
 
 
 async def _knock(http: object, url: str) -> None:
@@ -122,11 +86,3 @@ def _token(variable: str | None) -> str | None:
     if variable is not None and not token:
         raise ConfigurationError(f"The environment variable {variable} is not set.")
     return token or None
-
-
-def _leaves(error: Exception) -> Iterator[Exception]:
-    if isinstance(error, ExceptionGroup):
-        for part in error.exceptions:
-            yield from _leaves(part)
-    else:
-        yield error

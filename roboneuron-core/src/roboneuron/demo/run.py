@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from roboneuron.cli.connection import spawned_server
+from roboneuron.client import spawned_server
 from roboneuron.config import default_text, load_config
 from roboneuron.demo.agent import Agent, SimulatedObject, module_status, simulated_objects
 from roboneuron.demo.film import Film

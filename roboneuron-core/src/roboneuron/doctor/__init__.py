@@ -1,0 +1,1 @@
+"""`roboneuron doctor`: is this machine ready? Every check is data (id, question) and answers with one finding."""
