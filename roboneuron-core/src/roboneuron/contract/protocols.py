@@ -20,15 +20,25 @@ class Topics(Protocol):
     """What the host process lends a plugin of the ROS graph: nothing but topics under the robot's namespace.
 
     Handed to perception sources and robot drivers. Message classes are ordinary rosidl classes; callbacks run on the
-    host's executor thread and must return quickly.
+    host's executor thread and must return quickly. A name that begins with a slash is taken as it is.
     """
 
-    def subscribe(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> None:
-        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host closes."""
+    def subscribe(
+        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+    ) -> None:
+        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host closes.
+
+        With `best_effort` it hears publishers that are best effort too, as many camera drivers are, and stays reliable
+        towards those that are not. Called from `open`, on the host's executor thread.
+        """
         ...
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """Return a function that publishes on `topic` (reliable, depth 1); callable from any thread."""
+        ...
+
+    def publisher_types(self, topic: str) -> tuple[str, ...]:
+        """Message type ("package/msg/Name") of each publisher of `topic` discovered so far; from any thread."""
         ...
 
     def now_ns(self) -> int:

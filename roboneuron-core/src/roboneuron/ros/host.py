@@ -3,13 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
 
-from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.qos import NEWEST, sensor_subscription
 
 M = TypeVar("M")
+_LOOK_AGAIN_S = 0.25
+"""How soon a subscription follows publishers that came with another reliability."""
+
+
+class _FollowingSubscription:
+    """A subscription that is as reliable as the topic's publishers are; used on the executor's thread."""
+
+    def __init__(self, node: Node, topic: str, message_type: type, deliver: Callable[[Any], None]) -> None:
+        self._node = node
+        self._topic = topic
+        self._message_type = message_type
+        self._deliver = deliver
+        self._reliable = _are_reliable(node, topic)
+        self._subscription = self._create()
+        self._timer = node.create_timer(_LOOK_AGAIN_S, self._look)
+
+    def destroy(self) -> None:
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+
+    def _create(self) -> object:
+        qos = sensor_subscription(self._reliable)
+        return self._node.create_subscription(self._message_type, self._topic, self._deliver, qos)
+
+    def _look(self) -> None:
+        reliable = _are_reliable(self._node, self._topic)
+        if reliable != self._reliable:
+            self._reliable = reliable
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = self._create()
+
+
+def _are_reliable(node: Node, topic: str) -> bool:
+    infos = node.get_publishers_info_by_topic(topic)
+    return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)
 
 
 class NodeTopics:
@@ -23,15 +59,21 @@ class NodeTopics:
         self._node = node
         self._accepts = accepts
         self._subscriptions: list[object] = []
+        self._following: list[_FollowingSubscription] = []
         self._publishers: list[object] = []
 
-    def subscribe(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> None:
+    def subscribe(
+        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+    ) -> None:
         """See `Topics.subscribe`."""
 
         def deliver(message: M) -> None:
             if self._accepts():
                 callback(message)
 
+        if best_effort:
+            self._following.append(_FollowingSubscription(self._node, topic, message_type, deliver))
+            return
         self._subscriptions.append(self._node.create_subscription(message_type, topic, deliver, NEWEST))
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
@@ -46,15 +88,22 @@ class NodeTopics:
 
         return publish
 
+    def publisher_types(self, topic: str) -> tuple[str, ...]:
+        """See `Topics.publisher_types`."""
+        return tuple(str(info.topic_type) for info in self._node.get_publishers_info_by_topic(topic))
+
     def now_ns(self) -> int:
         """See `Topics.now_ns`."""
         return int(self._node.get_clock().now().nanoseconds)
 
     def close(self) -> None:
         """Destroy all publishers and subscriptions made through this object."""
+        for following in self._following:
+            following.destroy()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
+        self._following.clear()
         self._subscriptions.clear()
         self._publishers.clear()

@@ -21,11 +21,13 @@ class MemoryTopics:
     def __init__(self, now_ns: Callable[[], int] | None = None) -> None:
         self._now_ns = now_ns or time.time_ns
         self._subscribers: defaultdict[str, list[Callable[[Any], None]]] = defaultdict(list)
-        self._advertised: list[str] = []
+        self._advertised: list[tuple[str, type]] = []
         self._published: defaultdict[str, list[object]] = defaultdict(list)
         self._lock = threading.Lock()
 
-    def subscribe(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> None:
+    def subscribe(
+        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+    ) -> None:
         """Call `callback` with every message published or delivered on `topic`."""
         with self._lock:
             self._subscribers[topic].append(callback)
@@ -33,7 +35,7 @@ class MemoryTopics:
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """Return a function that publishes on `topic`."""
         with self._lock:
-            self._advertised.append(topic)
+            self._advertised.append((topic, message_type))
 
         def publish(message: M) -> None:
             if not isinstance(message, message_type):
@@ -43,6 +45,12 @@ class MemoryTopics:
             self.deliver(topic, message)
 
         return publish
+
+    def publisher_types(self, topic: str) -> tuple[str, ...]:
+        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver` have none."""
+        with self._lock:
+            types = [message_type for name, message_type in self._advertised if name == topic]
+        return tuple(f"{t.__module__.partition('.')[0]}/msg/{t.__name__}" for t in types)
 
     def now_ns(self) -> int:
         """The clock's time [ns]."""
@@ -64,4 +72,4 @@ class MemoryTopics:
     def used(self) -> tuple[str, ...]:
         """Names of topics that were subscribed to or advertised."""
         with self._lock:
-            return (*(t for t, callbacks in self._subscribers.items() if callbacks), *self._advertised)
+            return (*(t for t, callbacks in self._subscribers.items() if callbacks), *(t for t, _ in self._advertised))

@@ -1,0 +1,45 @@
+"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability, and who publishes what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from std_msgs.msg import Bool, String
+
+from roboneuron.ros.host import NodeTopics
+from roboneuron.ros.qos import NEWEST, sensor_subscription
+
+pytestmark = pytest.mark.ros
+BEST_EFFORT = sensor_subscription(publishers_reliable=False)
+
+
+def deliver_until(world: Any, publisher: Any, heard: list[Any], wait_until: Callable[..., bool]) -> bool:
+    def was_heard() -> bool:
+        publisher.publish(String(data="click"))
+        return bool(heard)
+
+    return wait_until(was_heard)
+
+
+def test_subscription_follows_a_driver_from_best_effort_to_reliable(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
+    heard: list[String] = []
+    topics = NodeTopics(world.node)
+    world.run(lambda: topics.subscribe("clicks", String, heard.append, best_effort=True))
+    for qos in (BEST_EFFORT, NEWEST):
+        publisher = world.run(lambda qos=qos: world.node.create_publisher(String, "clicks", qos))
+        heard.clear()
+        assert deliver_until(world, publisher, heard, wait_until), qos
+        world.run(lambda publisher=publisher: world.node.destroy_publisher(publisher))
+    world.run(topics.close)
+    assert world.node.count_subscribers("clicks") == 0
+
+
+def test_publishers_are_told_by_type(world: Any, wait_until: Callable[..., bool]) -> None:
+    topics = NodeTopics(world.node)
+    assert topics.publisher_types("clicks") == ()
+    world.run(lambda: world.node.create_publisher(Bool, "clicks", 1))
+    assert wait_until(lambda: topics.publisher_types("clicks") == ("std_msgs/msg/Bool",))
