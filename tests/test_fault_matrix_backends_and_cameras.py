@@ -1,4 +1,4 @@
-"""Rows of the fault matrix: backends and cameras that fail while the arm moves, one loop for all of them."""
+"""Rows of the fault matrix: backends, cameras, clocks, joint states and processes that fail while the arm moves."""
 
 from __future__ import annotations
 
@@ -12,47 +12,50 @@ from pathlib import Path
 import pytest
 
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import module_status
-from roboneuron.supervisor.watch import assess
+from roboneuron.server.results import ModuleStatus, module_status
+from roboneuron.server.selection import InferenceRequest
+from roboneuron.supervisor.memory import MemoryWatch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from switch_loop import Witness, moving_loop
+from fault_loop import PARTS, JointWitness, fail, moving_cell, quiet
 
 sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+MEMORY_LIMIT_MB = 400
 HOLD_S = 0.5 + 0.5 + 0.5
 """max_image_age_s, then action_timeout_s, then what a busy machine adds."""
+STATE_HOLD_S = 0.25 + 0.1 + 0.5
+"""state_timeout_s, seen within a fifth of action_timeout_s, then what a busy machine adds."""
 
 
 class Cell:
-    """A gantry that follows a policy, and files that say what is wrong with policy and camera."""
+    """A gantry that follows a policy, and files that say what is wrong with its parts."""
 
-    def __init__(self, loop: ClosedLoop, witness: Witness, folder: Path) -> None:
+    def __init__(self, loop: ClosedLoop, witness: JointWitness, folder: Path) -> None:
         self.loop, self.witness, self._folder = loop, witness, folder
+        self.moves, self.stands = witness.moves, witness.stands
 
     def fail(self, part: str, mode: str) -> None:
-        """Make the "backend" or "camera" misbehave; an empty mode ends that."""
-        path = self._folder / part
-        temporary = path.with_suffix(".part")
-        temporary.write_text(mode)
-        temporary.replace(path)
+        """Make one of `PARTS` misbehave; an empty mode ends that."""
+        fail(self._folder, part, mode)
+
+    def status(self, kind: str) -> ModuleStatus:
+        """As get_status tells it."""
+        return module_status(self.loop.supervisor.view(kind))  # type: ignore[arg-type]
 
     def health(self, kind: str) -> str:
-        return assess(self.loop.supervisor.view(kind), time.monotonic())  # type: ignore[arg-type]
+        return self.status(kind).health
 
     def error(self, kind: str) -> str:
-        failure = module_status(self.loop.supervisor.view(kind)).error  # type: ignore[arg-type]
+        failure = self.status(kind).error
         return failure.message if failure is not None else ""
 
-    def moves(self) -> bool:
-        return 0.0 < time.monotonic() - self._moved_s() < 0.4 and len(self.witness.actions()) > 0
+    def hold_code(self) -> str:
+        return self.status("control").metrics.get("hold_code", "")
 
-    def _moved_s(self) -> float:
-        return time.monotonic() - self.witness.stood_s()
-
-    def stands(self) -> bool:
-        return self.witness.stood_s() > 0.4
+    def dropped(self, kind: str, word: str) -> int:
+        return self.status(kind).dropped_by.get(word, 0)
 
 
 def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> float:
@@ -66,8 +69,7 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> float:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     folder = tmp_path_factory.mktemp("faults")
-    options = f'mode_file = "{folder}/camera"\n[plugins.first]\nmode_file = "{folder}/backend"\n'
-    with moving_loop(folder, 10.0, camera_options=options) as (loop, witness):
+    with moving_cell(folder, 10.0, inference=f"memory_limit_mb = {MEMORY_LIMIT_MB}") as (loop, witness):
         yield Cell(loop, witness, folder)
 
 
@@ -76,7 +78,7 @@ def cell(built: Cell) -> Iterator[Cell]:
     """The loop, moving; what was made to fail is mended afterwards, and the arm moves again."""
     wait_until(built.moves, 10.0, "the arm moves")
     yield built
-    for part in ("backend", "camera"):
+    for part in PARTS:
         built.fail(part, "")
     wait_until(lambda: built.health("inference") == "ok", 10.0, "inference works again")
     wait_until(built.moves, 10.0, "the arm moves again")
@@ -94,16 +96,28 @@ def test_backend_that_hangs_makes_the_arm_stand_and_counts_as_stalled(cell: Cell
     cell.fail("backend", "hang")
     wait_until(lambda: cell.health("inference") == "stalled", 2.0, "the hang is in the status")
     wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
-    sent = len(cell.witness.actions())
+    sent = cell.witness.actions()
     time.sleep(0.3)  # what is looked for is that nothing happens
-    assert len(cell.witness.actions()) == sent
+    assert cell.witness.actions() == sent
 
 
 def test_backend_that_answers_after_250_ms_goes_on(cell: Cell) -> None:
     cell.fail("backend", "250")
-    before = len(cell.witness.actions())
-    wait_until(lambda: len(cell.witness.actions()) > before + 5, 10.0, "it acts on")
-    assert cell.moves()
+    before = cell.witness.actions()
+    wait_until(lambda: cell.witness.actions() > before + 5, 10.0, "it acts on")
+    wait_until(cell.moves, 0.6, "the arm moves on")
+
+
+def test_backend_that_answers_after_two_seconds_does_not_move_the_arm(cell: Cell) -> None:
+    """By then its image is older than max_image_age_s: what it saw is not what there is."""
+    cell.fail("backend", "2000")
+    wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
+    sent = cell.witness.actions()
+    before = cell.dropped("inference", "late_action")
+    wait_until(lambda: cell.dropped("inference", "late_action") > before, 6.0, "the answer is counted as late")
+    wait_until(lambda: "The backend answered after 2." in cell.error("inference"), 2.0, "the status says so")
+    assert cell.witness.actions() == sent
+    assert cell.stands()
 
 
 def test_camera_that_repeats_its_image_makes_the_arm_stand(cell: Cell) -> None:
@@ -122,7 +136,7 @@ def test_camera_that_changes_its_size_is_an_error_and_the_arm_stands(cell: Cell)
 def test_black_images_are_the_backends_to_judge(cell: Cell) -> None:
     """Black is a valid image (a lens cap, a dark room): the loop goes on, nothing else fails."""
     cell.fail("camera", "black")
-    wait_until(lambda: cell.witness.actions()[-1].image == 0, 5.0, "the backend sees it")
+    wait_until(lambda: cell.witness.newest_image == 0, 5.0, "the backend sees it")
     assert cell.health("perception") == "ok"
 
 
@@ -136,6 +150,89 @@ def test_frozen_process_makes_the_arm_stand_and_goes_on_afterwards(cell: Cell, p
         wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
     finally:
         os.kill(process.pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("fault", ["stale", "future", "frozen", "missing-joint", "unknown-names", "nan", "stamps-10"])
+def test_joint_states_that_cannot_be_true_make_the_arm_stand(cell: Cell, fault: str) -> None:
+    before = cell.dropped("control", "bad_joint_state")
+    cell.fail("gantry", fault)
+    wait_until(cell.stands, STATE_HOLD_S + 0.4, "the arm stands")
+    wait_until(lambda: cell.hold_code() == "stale_joint_state", 2.0, "the status says why")
+    assert fault == "frozen" or cell.dropped("control", "bad_joint_state") > before
+    assert cell.health("robot") == "ok"
+
+
+def test_joint_states_out_of_order_do_not_bring_an_old_posture_back(cell: Cell) -> None:
+    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm moves on by the others."""
+    before, since_s = cell.dropped("control", "bad_joint_state"), time.monotonic()
+    cell.fail("gantry", "reordered")
+    wait_until(lambda: cell.dropped("control", "bad_joint_state") > before + 10, 3.0, "the older ones are counted")
+    wait_until(cell.moves, 0.3, "the arm moves on")
+    assert cell.witness.largest_step_m(since_s) < 0.02
+
+
+@pytest.mark.parametrize("jump_s", ["+0.2", "-0.2"])
+def test_robot_whose_stamps_jump_a_little_stops_for_one_timeout_only(cell: Cell, jump_s: str) -> None:
+    since_s = time.monotonic()
+    cell.fail("gantry", f"stamps{jump_s}")
+    time.sleep(STATE_HOLD_S)  # what is looked for is what comes after
+    wait_until(cell.moves, 2.0, "the arm moves again")
+    assert cell.witness.largest_step_m(since_s) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("part", "mode", "kind", "word"),
+    [
+        ("camera_clock", "10", "inference", "future_image"),
+        ("camera_clock", "-10", "inference", "old_image"),
+        ("gantry", "control-clock+10", "control", "stale_action"),
+        ("gantry", "control-clock-10", "control", "future_action"),
+        ("gantry", "robot-clock+10", "robot", "stale_command"),
+        ("gantry", "robot-clock-10", "robot", "future_command"),
+    ],
+)
+def test_clock_that_jumps_makes_the_arm_stand_until_it_is_right(
+    cell: Cell, part: str, mode: str, kind: str, word: str
+) -> None:
+    before = cell.dropped(kind, word)
+    cell.fail(part, mode)
+    wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
+    wait_until(lambda: cell.dropped(kind, word) > before, 2.0, "the status counts what was not believed")
+
+
+def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell: Cell) -> None:
+    process = cell.loop.supervisor.slot("robot").process
+    assert process is not None
+    since_s = time.monotonic()
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        assert wait_until(lambda: cell.health("robot") == "silent", 2.0, "the status says so") < 0.5
+        wait_until(lambda: cell.hold_code() == "stale_joint_state", 2.0, "control sends nothing")
+        time.sleep(1.0)  # what the policy asks for meanwhile must not come all at once
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+    wait_until(cell.moves, 5.0, "the arm moves again")
+    assert cell.witness.largest_step_m(since_s) < 0.005
+
+
+def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None:
+    told: list[tuple[str, str]] = []
+    watch = MemoryWatch(cell.loop.supervisor, lambda kind, why: told.append((kind, why)))
+    watch.start()
+    cell.fail("memory", "eat")
+    try:
+        wait_until(lambda: cell.health("inference") == "exited", 10.0, "the process is ended")
+    finally:
+        watch.close()
+    wait_until(cell.stands, HOLD_S, "the arm stands")
+    assert [kind for kind, _ in told] == ["inference"]
+    assert f"memory_limit_mb = {MEMORY_LIMIT_MB} are allowed" in told[0][1]
+    exited = cell.status("inference").exit
+    assert exited is not None
+    assert any("memory_limit_mb" in line for line in exited.last_lines)
+    assert {cell.health(kind) for kind in ("robot", "perception", "control")} == {"ok"}
+    cell.fail("memory", "")
+    cell.loop.start_inference(InferenceRequest(instruction="move on"), quiet)
 
 
 def test_backend_that_never_answers_is_ended_by_a_stop(built: Cell) -> None:

@@ -33,6 +33,8 @@ class _Section(BaseModel):
 
 
 Restart = Literal["never", "on_failure"]
+Megabytes = Annotated[int, Field(ge=64, le=10_000_000)]
+_MEMORY = "a module that holds more memory of its own is ended; no limit when not given"
 
 
 class RobotConfig(_Section):
@@ -45,6 +47,7 @@ class RobotConfig(_Section):
     restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move again")
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class PerceptionConfig(_Section):
@@ -56,6 +59,7 @@ class PerceptionConfig(_Section):
         default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class InferenceConfig(_Section):
@@ -73,6 +77,7 @@ class InferenceConfig(_Section):
         default=0.25, description="a warm switch to actions that differ more [m or rad] is refused"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class ControlConfig(_Section):
@@ -89,6 +94,7 @@ class ControlConfig(_Section):
         default=0.05, description="a warm switch to commands or TCP poses that differ more [rad or m] is refused"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class ZoneConfig(_Section):

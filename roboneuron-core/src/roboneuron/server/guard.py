@@ -1,4 +1,4 @@
-"""What follows from a module's health: notifications, /diagnostics, incident records, restarts."""
+"""What follows from a module's health: notifications, /diagnostics, incident records, restarts; and memory limits."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from roboneuron.server.incidents import FOLDER, Incidents
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.resources import STATUS_URI
 from roboneuron.server.results import module_status
+from roboneuron.supervisor.memory import MemoryWatch
 from roboneuron.supervisor.restarts import Restarts
 from roboneuron.supervisor.view import ModuleView
 from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health, Watch
@@ -40,6 +41,7 @@ class Guard:
         self._publish: Callable[[DiagnosticArray], None] | None = None
         self.incidents = Incidents(loop.supervisor.state_directory / FOLDER)
         self.restarts = Restarts(loop.supervisor, self._note_restart)
+        self._memory = MemoryWatch(loop.supervisor, self._note_memory)
         loop.on_stop = self.restarts.cancel
         listeners = (self._tell, self._record, self.restarts.on_health, self._diagnose)
         self._watch = Watch(loop.supervisor.views, listeners)
@@ -47,10 +49,12 @@ class Guard:
     def start(self) -> None:
         """Begin to watch."""
         self._watch.start()
+        self._memory.start()
 
     def close(self) -> None:
         """End watching and restarting; idempotent."""
         self.restarts.close()
+        self._memory.close()
         self._watch.close()
 
     def _tell(self, view: ModuleView, before: Health, health: Health) -> None:
@@ -79,6 +83,9 @@ class Guard:
         log.warning("%s: %s.", kind, what)
         self.incidents.record(kind, "restart", {"explanation": what})
         self._notify(STATUS_URI)
+
+    def _note_memory(self, kind: ModuleKind, what: str) -> None:
+        self.incidents.record(kind, "memory", {"explanation": what, "actions": self._loop.last_actions(_ACTIONS)})
 
     def _diagnose(self, view: ModuleView, before: Health, health: Health) -> None:
         """Say on /diagnostics what a module cannot say itself."""

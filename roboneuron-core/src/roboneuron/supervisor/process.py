@@ -44,6 +44,11 @@ class ModuleProcess:
         """The end of what this process has written to its log."""
         return read_tail(self.log_path, lines=lines, offset=self._log_offset)
 
+    def note(self, line: str) -> None:
+        """Add a line to its log, so that it stands among its last ones."""
+        with suppress(OSError), self.log_path.open("a", encoding="utf-8") as log_file:
+            log_file.write(f"{line}\n")
+
     def note_segments(self) -> frozenset[str]:
         """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
         self._segments |= owned_segments(self.pid)

@@ -1,0 +1,211 @@
+"""A closed loop around `fault_plugin`, files that make its parts fail, and a witness of the gantry's true joints."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from roboneuron.config import parse_config
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.selection import InferenceRequest
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.domain import free_ros_domain
+
+HERE = Path(__file__).parent
+PARTS = ("backend", "camera", "gantry", "memory", "camera_clock")
+"""What can be made to fail; a file of that name says how."""
+CONFIG = """
+[robot]
+name = "gantry"
+[perception]
+source = "numbering"
+cameras = ["front"]
+{perception}
+[inference]
+backend = "first"
+{inference}
+[control]
+controller = "gantry"
+[supervisor]
+start_timeout_s = 40.0
+stop_timeout_s = 3.0
+state_directory = "{folder}/state"
+{supervisor}
+[plugins.numbering]
+rate_hz = {rate_hz}
+mode_file = "{folder}/camera"
+clock_file = "{folder}/camera_clock"
+{camera}
+[plugins.gantry]
+mode_file = "{folder}/gantry"
+[plugins.first]
+mode_file = "{folder}/backend"
+memory_file = "{folder}/memory"
+[plugins.second]
+tag = 2
+mode_file = "{folder}/backend"
+memory_file = "{folder}/memory"
+"""
+STILL_M = 1e-7
+
+
+def config_text(folder: Path, rate_hz: float, **more: str) -> str:
+    """The configuration as TOML.
+
+    Args:
+        folder: where state and the files that make parts fail are.
+        rate_hz: images per second.
+        more: more keys of `perception`, `inference`, `supervisor`, `camera`.
+    """
+    keys = dict.fromkeys(("perception", "inference", "supervisor", "camera"), "") | more
+    return CONFIG.format(folder=folder, rate_hz=rate_hz, **keys)
+
+
+def install(site: Path) -> None:
+    """Make `fault_plugin` an installed plugin of whoever has `site` on its path."""
+    info = site / "rn_fault-1.0.dist-info"
+    info.mkdir(parents=True)
+    for module in ("fault_plugin.py", "fault_parts.py", "switch_plugin.py"):
+        shutil.copy(HERE / module, site)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-fault\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\nrn-fault = fault_plugin\n")
+
+
+def fail(folder: Path, part: str, mode: str) -> None:
+    """Make one of PARTS misbehave; an empty mode ends that."""
+    path = folder / part
+    temporary = path.with_suffix(".part")
+    temporary.write_text(mode)
+    temporary.replace(path)
+
+
+class JointWitness:
+    """Keeps the gantry's first joint as it is, whatever anybody says of it, and counts actions. Times are monotonic.
+
+    Args:
+        node: of the graph that is watched; its executor must turn.
+        add: runs a function where subscriptions may be made.
+    """
+
+    def __init__(self, node: Any, add: Callable[[Callable[[], Any]], Any], namespace: str = "gantry") -> None:
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+
+        self._lock = threading.Lock()
+        self._joints: deque[tuple[float, float]] = deque(maxlen=4000)
+        self._actions: deque[float] = deque(maxlen=4000)
+        self._count = 0
+        self.newest_image = -1
+        """Number of the image that the newest action answers."""
+        qos = QoSProfile(depth=200)
+        true, action = f"/{namespace}/true_joint_states", f"/{namespace}/action"
+        add(lambda: node.create_subscription(JointState, true, self._on_joints, qos))
+        add(lambda: node.create_subscription(Float64MultiArray, action, self._on_action, qos))
+
+    def _on_joints(self, message: Any) -> None:
+        with self._lock:
+            self._joints.append((time.monotonic(), float(message.position[0])))
+
+    def _on_action(self, message: Any) -> None:
+        with self._lock:
+            self._actions.append(time.monotonic())
+            self._count += 1
+            self.newest_image = round(message.data[4] * 1e9)
+
+    def actions(self) -> int:
+        """Number of actions so far."""
+        return self._count
+
+    def joints(self) -> list[tuple[float, float]]:
+        """Time and position [m] of the first joint, newest last."""
+        with self._lock:
+            return list(self._joints)
+
+    def moved_s(self) -> float | None:
+        """When the joint was last seen to move; None while nothing has been measured for 0.5 s."""
+        joints = self.joints()
+        if not joints or time.monotonic() - joints[-1][0] > 0.5:
+            return None
+        for (_, before), (at_s, after) in itertools.pairwise(reversed(joints)):
+            if abs(after - before) > STILL_M:
+                return at_s
+        return joints[0][0]
+
+    def stood_s(self) -> float:
+        """For how long the joint has stood; 0 while nothing is measured."""
+        moved_s = self.moved_s()
+        return 0.0 if moved_s is None else time.monotonic() - moved_s
+
+    def moves(self) -> bool:
+        """Whether it moved within the last 0.3 s."""
+        return 0.0 < self.stood_s() < 0.3
+
+    def stands(self) -> bool:
+        """Whether it has stood for 0.4 s."""
+        return self.stood_s() > 0.4
+
+    def largest_step_m(self, since_s: float) -> float:
+        """Farthest that the joint was from one measurement to the next since then."""
+        places = [position for at_s, position in self.joints() if at_s >= since_s]
+        return max((abs(b - a) for a, b in itertools.pairwise(places)), default=0.0)
+
+
+@contextmanager
+def environment(folder: Path) -> Iterator[None]:
+    """This process and its children find the plugin, on a ROS domain of their own."""
+    if not (folder / "site").exists():
+        install(folder / "site")
+    site = str(folder / "site")
+    before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
+    os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (site, before["PYTHONPATH"] or "") if p)
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
+    os.environ["ROS_LOG_DIR"] = str(folder / "ros")
+    sys.path.insert(0, site)
+    try:
+        yield
+    finally:
+        sys.path.remove(site)
+        for key, value in before.items():
+            os.environ.pop(key, None)
+            if value is not None:
+                os.environ[key] = value
+
+
+def quiet(_: str) -> None:
+    """Nobody wants to know how far a call has come."""
+
+
+@contextmanager
+def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[ClosedLoop, JointWitness]]:
+    """The control plane of a cell in which nothing runs yet; everything is stopped at the end."""
+    with environment(folder):
+        config = parse_config(config_text(folder, rate_hz, **more))
+        supervisor = Supervisor(folder / "state")
+        try:
+            link = supervisor.link
+            witness = JointWitness(link.node, link.on_executor, config.namespace)
+            yield ClosedLoop(config, PluginCatalogue(), supervisor), witness
+        finally:
+            supervisor.close()
+
+
+@contextmanager
+def moving_cell(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[ClosedLoop, JointWitness]]:
+    """A gantry that follows backend "first" at `rate_hz`."""
+    with standing_loop(folder, rate_hz, **more) as (loop, witness):
+        loop.start_robot(None, None, {}, quiet)
+        loop.start_perception(None, (), {}, quiet)
+        loop.start_control(None, {}, quiet)
+        loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+        yield loop, witness

@@ -1,0 +1,148 @@
+"""Parts of a robot cell that fail on demand: what is wrong with each is read from a file while it runs.
+
+The gantry's driver lies about its joints, and `true_joint_states` carries where they are; cameras and processes have
+clocks that jump; the backend eats memory.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from fault_plugin import FaultOptions, read_mode
+from pydantic import Field
+from sensor_msgs.msg import JointState
+from switch_plugin import BackendOptions, CameraOptions, NamingBackend, NumberingCamera
+
+from roboneuron.contract import (
+    ActionChunk,
+    CameraProfile,
+    Frame,
+    JointSample,
+    Observation,
+    Pose,
+    RobotProfile,
+    RobotState,
+    Topics,
+)
+from roboneuron.ros.messages import to_joint_state
+from roboneuron.testing.fakes.controller import GantryController
+from roboneuron.testing.fakes.robot import FakeDriver
+
+_BEHIND_NS = 100_000_000
+_true_time_ns = time.time_ns
+
+
+class LargeCameraOptions(CameraOptions):
+    """Options of the numbering camera with a clock of its own."""
+
+    width: int = Field(default=0, ge=0, description="image width [px]; the profile's when 0")
+    height: int = Field(default=0, ge=0, description="image height [px]; the profile's when 0")
+    clock_file: str = Field(default="", description="a file that says how far its clock is ahead [s]")
+
+
+class HungryBackendOptions(BackendOptions):
+    """Options of the naming backend with an appetite."""
+
+    memory_file: str = Field(default="", description="each prediction keeps 40 MB while this file holds a word")
+
+
+class LyingCamera(NumberingCamera):
+    """Follows the protocol `PerceptionSource`; its stamps may be wrong."""
+
+    def __init__(self, config: LargeCameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+        self._more = config or LargeCameraOptions()
+        camera = cameras[0]
+        size = {"width": self._more.width or camera.width, "height": self._more.height or camera.height}
+        super().__init__(self._more, topics, (replace(camera, **size),))
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next image, stamped by the camera's own clock."""
+        frame = super().read(timeout_s)
+        ahead_s = float(read_mode(self._more.clock_file) or 0.0)
+        return replace(frame, stamp_ns=frame.stamp_ns + int(ahead_s * 1e9))
+
+
+class HungryBackend(NamingBackend):
+    """Follows the protocol `Backend`; it may keep what it should forget."""
+
+    def __init__(self, config: HungryBackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+        super().__init__(config, runtime, acceleration)
+        self._memory_file = config.memory_file if config is not None else ""
+        self._kept: list[Any] = []
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """As the naming backend's."""
+        if read_mode(self._memory_file):
+            self._kept.append(np.ones(5_000_000))
+        return super().predict(observation)
+
+
+def set_clock(mode: str, process: str) -> None:
+    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and right otherwise."""
+    word = f"{process}-clock"
+    if mode.startswith(word):
+        shift_ns = int(float(mode.removeprefix(word)) * 1e9)
+        time.time_ns = lambda: _true_time_ns() + shift_ns
+    else:
+        time.time_ns = _true_time_ns
+
+
+class LyingDriver(FakeDriver):
+    """Follows the protocol `RobotDriver`; what `read` tells may be wrong."""
+
+    def __init__(self, config: FaultOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        super().__init__(None, profile, topics)
+        self._mode_file = (config or FaultOptions()).mode_file
+        self._publish = topics.advertise("true_joint_states", JointState)
+        self._told: JointSample | None = None
+        self._turn = 0
+
+    def read(self) -> RobotState:
+        """The positions last sent, or something else."""
+        state = super().read()
+        self._publish(to_joint_state(state.joints))
+        mode = read_mode(self._mode_file)
+        set_clock(mode, "robot")
+        told = self._distort(state.joints, mode)
+        if mode != "frozen":
+            self._told = told
+        return replace(state, joints=told)
+
+    def _distort(self, joints: JointSample, mode: str) -> JointSample:
+        if mode == "stale":
+            return replace(joints, stamp_ns=joints.stamp_ns - 1_000_000_000)
+        if mode == "future":
+            return replace(joints, stamp_ns=joints.stamp_ns + 3_600_000_000_000)
+        if mode == "frozen":
+            return self._told or joints
+        if mode == "reordered":
+            self._turn += 1
+            behind = _BEHIND_NS if self._turn % 2 else 0
+            return replace(
+                joints, stamp_ns=joints.stamp_ns - behind, position=joints.position - (0.05 if behind else 0)
+            )
+        if mode == "missing-joint":
+            return replace(joints, names=joints.names[1:], position=joints.position[1:], velocity=None)
+        if mode == "unknown-names":
+            return replace(joints, names=tuple(f"other_{name}" for name in joints.names))
+        if mode == "nan":
+            return replace(joints, position=np.full(len(joints.names), np.nan))
+        if mode.startswith("stamps"):
+            return replace(joints, stamp_ns=joints.stamp_ns + int(float(mode.removeprefix("stamps")) * 1e9))
+        return joints
+
+
+class JumpingController(GantryController):
+    """Follows the protocol `Controller`; its process's clock may be wrong."""
+
+    def __init__(self, config: FaultOptions | None, profile: RobotProfile) -> None:
+        super().__init__(None, profile)
+        self._mode_file = (config or FaultOptions()).mode_file
+
+    def forward(self, joints: JointSample) -> Pose:
+        """As the gantry's; it is asked with every joint state, and so sets the clock even when no action comes."""
+        set_clock(read_mode(self._mode_file), "control")
+        return super().forward(joints)

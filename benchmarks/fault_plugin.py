@@ -1,0 +1,108 @@
+"""The plugin that faults are judged with: robot, camera, controller and backends that misbehave when a file says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, DriverSpec, PerceptionSpec, RobotSpec
+
+if TYPE_CHECKING:
+    from roboneuron.contract import RobotProfile
+
+PARTS = "fault_parts"
+
+
+def read_mode(path: str) -> str:
+    """What is wrong now; empty when nothing is."""
+    try:
+        return Path(path).read_text(encoding="ascii") if path else ""
+    except FileNotFoundError:
+        return ""
+
+
+class FaultOptions(BaseModel):
+    """Options of the gantry and of its controller: the table of plugin options of that name is one."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    mode_file: str = Field(
+        default="",
+        description='what is wrong: "stale", "future", "frozen", "reordered", "missing-joint", "unknown-names", "nan", '
+        '"stamps+<s>", "robot-clock+<s>", "control-clock+<s>"',
+    )
+
+
+def profile() -> RobotProfile:
+    """The fake gantry's, whose trajectories an agent may send directly too."""
+    from roboneuron.contract import Endpoint
+    from roboneuron.testing.fakes.robot import gantry_profile
+
+    gantry = gantry_profile()
+    trajectory = Endpoint(
+        name="arm",
+        kind="publish",
+        topic="joint_trajectory",
+        type="trajectory_msgs/msg/JointTrajectory",
+        summary="Where the joints go.",
+        joint_limited=True,
+    )
+    return replace(gantry, endpoints=(*gantry.endpoints, trajectory))
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """One policy under two names."""
+    first = BackendSpec(
+        name="first",
+        summary="Names the image that it acts on, and fails on demand.",
+        target=f"{PARTS}:HungryBackend",
+        config=f"{PARTS}:HungryBackendOptions",
+        action_space=ActionSpace(step_s=0.01),
+    )
+    return [first, replace(first, name="second")]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """The camera."""
+    return [
+        PerceptionSpec(
+            name="numbering",
+            summary="Numbers its images, by a clock that may be wrong.",
+            target=f"{PARTS}:LyingCamera",
+            config=f"{PARTS}:LargeCameraOptions",
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_controllers() -> Sequence[ControllerSpec]:
+    """The fake gantry's."""
+    return [
+        ControllerSpec(
+            name="gantry",
+            summary="Reads the joints off the target pose, by a clock that may be wrong.",
+            target=f"{PARTS}:JumpingController",
+            config="fault_plugin:FaultOptions",
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    """The fake gantry."""
+    from roboneuron.testing.fakes.robot import FAKE_ROBOT
+
+    driver = DriverSpec(
+        name="simulated",
+        summary="Reaches every command at once, and may lie about it.",
+        target=f"{PARTS}:LyingDriver",
+        config="fault_plugin:FaultOptions",
+    )
+    return [replace(FAKE_ROBOT, target="fault_plugin:profile", drivers=(driver,))]

@@ -1,0 +1,91 @@
+"""A bound on the memory of each module: what a plugin eats is not taken from the processes that hold the arm."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.slot import Slot
+from roboneuron.supervisor.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+_LOOK_S = 0.05
+GRACE_S = 0.5
+"""Between SIGTERM, which lets a module hold the robot, and SIGKILL."""
+Record = Callable[[ModuleKind, str], None]
+"""Told which module was ended, and why."""
+
+
+def own_memory_mb(pid: int) -> float | None:
+    """Memory of a process that nobody else uses [MB]: resident, without files and shared memory; None when it is gone.
+
+    Source: proc_pid_statm(5).
+    """
+    try:
+        fields = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()
+    except OSError:
+        return None
+    return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class MemoryWatch:
+    """Ends modules that hold more than `[<module>] memory_limit_mb`; looks every 50 ms, at starting ones too.
+
+    Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
+    """
+
+    def __init__(self, supervisor: Supervisor, record: Record) -> None:
+        self._supervisor = supervisor
+        self._record = record
+        self._ended: set[int] = set()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin; does nothing the second time."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="memory", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; idempotent."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+
+    def look(self) -> None:
+        """Compare all modules with their limits."""
+        for kind in MODULE_KINDS:
+            for slot in (self._supervisor.slot(kind), *self._supervisor.beside(kind)):
+                self._check(slot)
+
+    def _check(self, slot: Slot) -> None:
+        process, choice = slot.process, slot.choice
+        if process is None or choice is None or process.exit_code is not None or process.pid in self._ended:
+            return
+        section = getattr(choice.settings.config, slot.kind)
+        limit_mb = section.memory_limit_mb if section is not None else None
+        used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
+        if limit_mb is None or used_mb is None or used_mb <= limit_mb:
+            return
+        why = f"ended: it holds {used_mb:.0f} MB, [{slot.kind}] memory_limit_mb = {limit_mb} are allowed"
+        log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
+        self._ended.add(process.pid)
+        process.note(f"supervisor: {slot.kind} is {why}.")
+        threading.Thread(target=_end, args=(process,), name=f"end-{slot.kind}", daemon=True).start()
+        self._record(slot.kind, why)
+
+    def _run(self) -> None:
+        while not self._stop.wait(_LOOK_S):
+            self.look()
+
+
+def _end(process: ModuleProcess) -> None:
+    process.terminate()
+    if not process.wait(GRACE_S):
+        process.kill()
