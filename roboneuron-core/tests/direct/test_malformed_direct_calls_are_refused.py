@@ -44,7 +44,9 @@ class Context:
 
     who, role = "fuzz", "admin"
 
-    async def run(self, work: Callable[[Callable[[str], None]], Any], *, on_cancel: Any = None) -> Any:
+    async def run(
+        self, work: Callable[[Callable[[str], None]], Any], *, on_cancel: Any = None, on_leave: Any = None
+    ) -> Any:
         """See `CallContext.run`."""
         return work(lambda stage: None)
 

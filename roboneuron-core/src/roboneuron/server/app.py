@@ -28,6 +28,7 @@ from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.guard import Guard
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.lost import watching
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.operating import Operating
@@ -68,8 +69,18 @@ class RequestContext:
         self.who = holder.who
         self.role = holder.role
 
-    async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
         """See `CallContext.run`."""
+        with watching(self._request.request, on_leave):
+            return await self._run(work, on_cancel)
+
+    async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
         send, receive = anyio.create_memory_object_stream[str](64)
         failure: Exception | None = None

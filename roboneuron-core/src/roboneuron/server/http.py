@@ -29,6 +29,8 @@ _SESSION_IDLE_S = 600.0
 _LEAVE_S = 1
 """Open streams get this long when the server ends; then they are cut."""
 _MOST_CONNECTIONS = 512
+_KEEP_ALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 5000}
+"""Socket options: s, s, probes, ms. A silent peer is gone after 5 s."""
 
 
 def serve_http(config: Config) -> None:
@@ -52,6 +54,7 @@ def serve_http(config: Config) -> None:
                 max_sessions=_MOST_SESSIONS,
                 transport_security=security,
             )
+            application.loop.emergency_stop.press_on_signal(config.namespace)
             application.open()
             anyio.run(_serve, application, Border(inner, security, tokens), listener)
         finally:
@@ -78,6 +81,7 @@ def listen(section: ServerConfig, tokens: TokenTable) -> socket.socket:
     listener = socket.socket(family, kind, protocol)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        _keep_alive(listener)
         listener.bind(address)
     except OSError as error:
         listener.close()
@@ -86,6 +90,14 @@ def listen(section: ServerConfig, tokens: TokenTable) -> socket.socket:
             hint="Does another server run? Choose another --port.",
         ) from error
     return listener
+
+
+def _keep_alive(listener: socket.socket) -> None:
+    """Notice within seconds that a client's machine or cable is gone; connections inherit it where that is known."""
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEP_ALIVE.items():
+        if hasattr(socket, name):
+            listener.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class _Server(uvicorn.Server):

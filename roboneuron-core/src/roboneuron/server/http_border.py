@@ -15,6 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from roboneuron.config import ServerConfig
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.access import HOLDER_KEY, LOCAL_PROCESS, Holder
+from roboneuron.server.lost import CONNECTION_KEY, Connection
 from roboneuron.server.tokens import TokenTable
 
 log = logging.getLogger(__name__)
@@ -71,7 +72,9 @@ class Border:
             return
         # The SDK binds a session to this user: a session of one token cannot be used with another.
         user = AuthenticatedUser(AccessToken(token="", client_id=holder.who, scopes=[holder.role]))
-        await self._app({**scope, HOLDER_KEY: holder, "user": user}, receive, send)
+        connection = Connection(receive)
+        inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
+        await self._app(inner, connection.receive, send)
 
     def _holder(self, headers: list[str]) -> Holder | None:
         if not self._tokens:

@@ -68,11 +68,18 @@ class CallContext(Protocol):
     @property
     def role(self) -> str: ...
 
-    async def run(self, work: Callable[[Stage], T], *, on_cancel: Callable[[], object] = lambda: None) -> T:
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
         """Run blocking `work` on a thread; its stages go to the client as progress.
 
         When the client cancels or leaves, `on_cancel` is called, the thread is left to end by itself, and the
-        cancellation goes on.
+        cancellation goes on. By some revisions of the protocol a client that loses its connection may come back for
+        the answer and its call goes on; then only `on_leave` is called: what moves a robot ends with the connection.
         """
         ...
 

@@ -1,0 +1,56 @@
+"""Connections that are lost while a call that came on them is at work."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from starlette.types import Message, Receive
+
+log = logging.getLogger(__name__)
+CONNECTION_KEY = "roboneuron.connection"
+"""Where the HTTP border leaves the Connection in the ASGI scope of a request."""
+
+
+class Connection:
+    """The connection of one HTTP request; used on the event loop only."""
+
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self._listeners: list[Callable[[], object]] = []
+        self._is_lost = False
+
+    async def receive(self) -> Message:
+        """The ASGI channel that the application listens on; a response that is streamed always does."""
+        message = await self._receive()
+        if message["type"] == "http.disconnect" and not self._is_lost:
+            self._is_lost = True
+            if self._listeners:
+                log.warning("A client was lost while its call was at work.")
+            for listener in self._listeners:
+                listener()
+        return message
+
+    @contextmanager
+    def watched(self, listener: Callable[[], object]) -> Iterator[None]:
+        """Call `listener` when the connection is lost within the block, or was before."""
+        self._listeners.append(listener)
+        try:
+            if self._is_lost:
+                listener()
+            yield
+        finally:
+            self._listeners.remove(listener)
+
+
+@contextmanager
+def watching(request: Any, listener: Callable[[], object] | None) -> Iterator[None]:
+    """Call `listener` when the connection of an MCP request is lost; stdio has none, its end cancels the call."""
+    connection = request.scope.get(CONNECTION_KEY) if request is not None else None
+    if listener is None or not isinstance(connection, Connection):
+        yield
+        return
+    with connection.watched(listener):
+        yield
