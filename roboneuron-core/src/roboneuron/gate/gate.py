@@ -148,20 +148,20 @@ class Gate:
         for message in request.messages:
             clamped += _apply("bounds", apply_bounds, entry, message)
             _apply("steering", check_steering, endpoint, message)
-            self._check_joints(entry, message, request)
+        self._check_joints(entry, request)
         if endpoint.kind != "read":
             _apply("emergency_stop", self.latch.check)
         if not request.repeated:
             self._check_rate(rate, endpoint.name, dry_run)
         return tuple(clamped)
 
-    def _check_joints(self, entry: AllowedEndpoint, message: Any, request: GateRequest) -> None:
+    def _check_joints(self, entry: AllowedEndpoint, request: GateRequest) -> None:
         if not entry.endpoint.joint_limited:
             return
         if entry.profile is None or entry.endpoint.type not in JOINT_TYPES:
             text = f"The joint limits of {entry.endpoint.name!r} cannot be checked for {entry.endpoint.type}."
             raise _Refusal("joints", RefusedError(text))
-        _apply("joints", check_joints, entry.profile, message, request.joints)
+        _apply("joints", check_joints, entry.profile, request.messages, request.joints, request.durations_s)
 
     def _check_rate(self, rate: RateLimit, name: str, dry_run: bool) -> None:
         wait_s = rate.wait_s() if dry_run else rate.take()

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from roboneuron.contract import JointSample, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion.joint_space import braking_velocity
@@ -66,27 +68,96 @@ def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
     return found
 
 
-def check_joints(profile: RobotProfile, message: Any, joints: JointSample | None) -> None:
-    """Raise unless the arm can follow the command within its limits.
+def check_joints(
+    profile: RobotProfile, messages: Sequence[Any], joints: JointSample | None, durations_s: Sequence[float] = ()
+) -> None:
+    """Raise unless the arm can follow the commands, one after the other, within its limits.
 
-    A trajectory must reach each point with the joints' own velocities, the first one from where the joints are.
+    A trajectory must reach each point with the joints' own velocities. The first step begins where the joints are
+    measured, that of each further command where the one before ends.
 
     Args:
         profile: the robot's.
-        message: JointTrajectory or JointState.
+        messages: JointTrajectory or JointState.
         joints: newest measured joints.
+        durations_s: how long each command lasts [s]; without, JointState is not checked for how fast it is reached.
 
     Raises:
         RefusedError: says which joint, what was asked, what is allowed.
     """
     limits = joint_limits(profile)
+    before = joints
+    for index, message in enumerate(messages):
+        lasts_s = durations_s[index] if durations_s else None
+        try:
+            if hasattr(message, "points"):
+                _check_trajectory(limits, message, before)
+                _check_time(message, lasts_s)
+            else:
+                _check_state(limits, message, before, lasts_s)
+        except RefusedError as error:
+            if len(messages) == 1:
+                raise
+            raise RefusedError(f"steps[{index}]: {error.message}", hint=error.hint) from error
+        if index + 1 < len(messages):
+            before = _after(message, before, lasts_s)
+
+
+def _check_time(trajectory: Any, lasts_s: float | None) -> None:
+    last = trajectory.points[-1].time_from_start
+    needed_s = last.sec + last.nanosec * 1e-9
+    if lasts_s is not None and lasts_s < needed_s * (1.0 - TOLERANCE):
+        raise RefusedError(f"The trajectory takes {needed_s:g} s, its step only {lasts_s:g} s.")
+
+
+def _check_state(
+    limits: dict[str, JointLimit], message: Any, before: JointSample | None, lasts_s: float | None
+) -> None:
+    """A JointState: its values, and that positions can be reached or velocities be kept for as long as it lasts."""
+    names = _check_names(limits, message.name)
+    if not (len(message.position) or len(message.velocity)):
+        raise RefusedError("The joint command holds neither positions nor velocities.")
+    _check_arrays(limits, names, message.position, message.velocity, (), message.effort, "")
+    if lasts_s is None:
+        return
+    for name, start, end in zip(names, _measured(names, before), _targets(message, before, lasts_s), strict=True):
+        limit = limits[name]
+        if not limit.lower - TOLERANCE <= end <= limit.upper + TOLERANCE:
+            raise RefusedError(
+                f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {limit.lower:.4g} .. {limit.upper:.4g}."
+            )
+        _check_pace(limit, name, start, end, lasts_s, "")
+
+
+def _targets(message: Any, before: JointSample | None, lasts_s: float) -> list[float]:
+    """Where the joints of a JointState are when it has lasted that long."""
+    if len(message.position):
+        return [float(value) for value in message.position]
+    starts = _measured(message.name, before)
+    return [start + float(velocity) * lasts_s for start, velocity in zip(starts, message.velocity, strict=True)]
+
+
+def _after(message: Any, before: JointSample | None, lasts_s: float | None) -> JointSample | None:
+    """The joints when a command has ended; `before` holds those that it does not name."""
+    if before is None:
+        return None
     if hasattr(message, "points"):
-        _check_trajectory(limits, message, joints)
+        names, ends = list(message.joint_names), [float(value) for value in message.points[-1].positions]
     else:
-        names = _check_names(limits, message.name)
-        if not (len(message.position) or len(message.velocity)):
-            raise RefusedError("The joint command holds neither positions nor velocities.")
-        _check_arrays(limits, names, message.position, message.velocity, (), message.effort, "")
+        names, ends = list(message.name), _targets(message, before, lasts_s or 0.0)
+    known = dict(zip(before.names, before.position.tolist(), strict=True)) | dict(zip(names, ends, strict=True))
+    return JointSample(names=tuple(known), position=np.array(list(known.values())), stamp_ns=before.stamp_ns)
+
+
+def _check_pace(limit: JointLimit, name: str, start: float, end: float, within_s: float, where: str) -> None:
+    needed = abs(end - start) / within_s if within_s > 0.0 else 0.0
+    allowed = limit.fastest(start, end)
+    if needed > allowed * (1.0 + TOLERANCE):
+        near = " so near to its limit" if allowed < limit.velocity else ""
+        raise RefusedError(
+            f"{where}{name} would move at {needed:.4g} per second, allowed is {allowed:.4g}{near}.",
+            hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
+        )
 
 
 def _check_names(limits: dict[str, JointLimit], names: Sequence[str]) -> Sequence[str]:
@@ -135,14 +206,7 @@ def _check_trajectory(limits: dict[str, JointLimit], message: Any, joints: Joint
         if not (at_s > before_s or (index == 0 and at_s == 0.0 and _is_same(before, point.positions))):
             raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
         for name, start, end in zip(names, before, point.positions, strict=True):
-            needed = abs(end - start) / (at_s - before_s) if at_s > before_s else 0.0
-            allowed = limits[name].fastest(start, end)
-            if needed > allowed * (1.0 + TOLERANCE):
-                near = " so near to its limit" if allowed < limits[name].velocity else ""
-                raise RefusedError(
-                    f"{where}{name} would move at {needed:.4g} per second, allowed is {allowed:.4g}{near}.",
-                    hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
-                )
+            _check_pace(limits[name], name, start, end, at_s - before_s, where)
         before, before_s = list(point.positions), at_s
 
 

@@ -52,6 +52,7 @@ class GateRequest:
         messages: the encoded message, or every step of a sequence; empty for a read.
         arguments: what the agent sent, for the audit.
         joints: newest measured joints; needed by endpoints that are `joint_limited`.
+        durations_s: how long each message lasts [s], where that is known; joints must get there within that time.
         dry_run: only answer what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
@@ -64,6 +65,7 @@ class GateRequest:
     messages: tuple[Any, ...] = ()
     arguments: Mapping[str, Any] = field(default_factory=dict)
     joints: JointSample | None = None
+    durations_s: tuple[float, ...] = ()
     dry_run: bool = False
     repeated: bool = False
 

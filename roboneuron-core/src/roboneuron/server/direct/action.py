@@ -9,21 +9,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest, Verdict
 from roboneuron.interfaces import ActionInterface
 from roboneuron.server.direct.access import Access
-from roboneuron.server.direct.arguments import (
-    Number,
-    Schema,
-    check_names,
-    inside,
-    object_schema,
-    take_flag,
-    take_object,
-)
+from roboneuron.server.direct.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.direct.endpoints import Exposed
 from roboneuron.server.direct.motion import Motion
+from roboneuron.server.direct.request import VERDICT, encode_argument, gate_request, judge_dry_run, verdict_fields
 from roboneuron.server.direct.schemas import decoded_schema
 from roboneuron.server.direct.targets import Targets
 from roboneuron.server.tool import Answer, CallContext, Stage
@@ -47,10 +40,7 @@ def goal_schema(targets: Targets) -> Schema:
         "result": decoded_schema(interface.result),
         "feedbacks": {"type": "integer", "description": "how many feedback messages came"},
         "took_s": {"type": "number"},
-        "dry_run": {"type": "boolean", "description": "it was only a question; nothing was sent"},
-        "allowed": {"type": "boolean"},
-        "rule": {"type": "string", "description": "dry run: the rule that would refuse"},
-        "reason": {"type": "string", "description": "dry run: why"},
+        **VERDICT,
     }
     return object_schema(properties, [name for name in properties if name != "result"])
 
@@ -74,24 +64,13 @@ class GoalSending:
         timeout_s = self.timeout.take("timeout_s", arguments)
         server_s = SERVER.take("server_timeout_s", arguments)
         dry_run = take_flag(arguments, "dry_run")
-        value = take_object(arguments, "goal", required=bool(interface.goal.fields))
-        try:
-            message = interface.goal.encode(value, now_ns=time.time_ns())
-        except InvalidInputError as error:
-            raise inside(error, "goal") from error
-        request = GateRequest(
-            who=context.who,
-            role=context.role,
-            tool=self._tool,
-            robot=exposed.robot,
-            endpoint=exposed.endpoint.name,
-            messages=(message,),
-            arguments=arguments,
-            dry_run=dry_run,
-        )
+        message = encode_argument(interface.goal, arguments, "goal")
+        request = gate_request(context, self._tool, exposed, [message], arguments, dry_run=dry_run)
         halt = threading.Event()
         return await context.run(
-            lambda stage: self._run(exposed, request, timeout_s, server_s, stage, halt), on_cancel=halt.set
+            lambda stage: self._run(exposed, request, timeout_s, server_s, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
         )
 
     def _run(
@@ -99,11 +78,7 @@ class GoalSending:
         halt: threading.Event,
     ) -> Answer:  # fmt: skip
         if request.dry_run:
-            try:
-                self._access.desk.check_free(exposed)
-            except RefusedError as error:
-                return _answer(exposed, Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership"))
-            return _answer(exposed, self._access.gate.check(request))
+            return _answer(exposed, judge_dry_run(self._access, exposed, request))
         with self._access.desk.claim(exposed, self._tool, halt) as motion:
             verdict = self._access.gate.check(request)
             if not verdict.may_send:
@@ -189,9 +164,6 @@ def _answer(exposed: Exposed, verdict: Verdict, took_s: float = 0.0) -> Answer:
             "status": "",
             "feedbacks": 0,
             "took_s": round(took_s, 6),
-            "dry_run": verdict.dry_run,
-            "allowed": verdict.allowed,
-            "rule": verdict.rule,
-            "reason": verdict.reason,
+            **verdict_fields(verdict),
         }
     )

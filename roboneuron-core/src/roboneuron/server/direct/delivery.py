@@ -17,7 +17,9 @@ from roboneuron.gate import GateRequest, Verdict
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import Number
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.joint_commands import hold, is_velocity
 from roboneuron.server.direct.motion import Motion
+from roboneuron.server.direct.request import judge_dry_run, verdict_fields
 from roboneuron.server.tool import Answer, Result, Stage
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ class Delivery(Result):
     sent: int = Field(description="messages, repetitions and the stop message included")
     subscribers: int = Field(description="how many were matched when it was sent")
     duration_s: float = Field(description="how long it took")
-    stopped: bool = Field(description="the stop message was sent at the end")
+    stopped: bool = Field(description="a message that stops was sent at the end")
     clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
     dry_run: bool = Field(description="it was only a question; nothing was sent")
     allowed: bool
@@ -106,28 +108,24 @@ def carry_out(
     """
     if exposed.endpoint.joint_limited and request.joints is None:
         request = replace(request, joints=access.traffic.joints(exposed, timeout_s))
-    lasting = any(step.duration_s for step in steps)
-    try:
-        owner = access.desk.claim(exposed, request.tool, halt) if lasting and not request.dry_run else nullcontext()
-        with owner as motion:
-            if motion is None:
-                access.desk.check_free(exposed)
-            verdict = access.gate.check(request)
-            writer = access.traffic.writer(exposed)
-            if not verdict.may_send:
-                return _answer(exposed, verdict, 0, writer.listening(), 0.0, False)
-            matched = _connect(access, exposed, writer, request, timeout_s, owned=motion is not None)
-            started_s = time.monotonic()
-            if motion is None:
-                _send(writer, steps[0])
-                return _answer(exposed, verdict, 1, matched, time.monotonic() - started_s, False)
-            sent, stopped = _play(exposed, writer, steps, motion, stage)
-            return _answer(exposed, verdict, sent, matched, time.monotonic() - started_s, stopped)
-    except RefusedError as error:
-        if not request.dry_run:
-            raise
-        verdict = Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership")
+    if request.dry_run:
+        verdict = judge_dry_run(access, exposed, request)
         return _answer(exposed, verdict, 0, access.traffic.writer(exposed).listening(), 0.0, False)
+    lasting = any(step.duration_s for step in steps)
+    with access.desk.claim(exposed, request.tool, halt) if lasting else nullcontext() as motion:
+        if motion is None:
+            access.desk.check_free(exposed)
+        verdict = access.gate.check(request)
+        writer = access.traffic.writer(exposed)
+        if not verdict.may_send:
+            return _answer(exposed, verdict, 0, writer.listening(), 0.0, False)
+        matched = _connect(access, exposed, writer, request, timeout_s, owned=motion is not None)
+        started_s = time.monotonic()
+        if motion is None:
+            _send(writer, steps[0])
+            return _answer(exposed, verdict, 1, matched, time.monotonic() - started_s, False)
+        sent, stopped = _play(access, exposed, writer, steps, motion, stage)
+        return _answer(exposed, verdict, sent, matched, time.monotonic() - started_s, stopped)
 
 
 def _connect(
@@ -150,13 +148,14 @@ def _connect(
 
 
 def _play(
-    exposed: Exposed, writer: TopicWriter, steps: Sequence[Step], motion: Motion, stage: Stage
+    access: Access, exposed: Exposed, writer: TopicWriter, steps: Sequence[Step], motion: Motion, stage: Stage
 ) -> tuple[int, bool]:
-    """Send each step, repeat it while it lasts, and always end with the stop message. Returns messages sent."""
+    """Send each step, repeat it while it lasts, and end it. Returns messages sent, and whether one ended it."""
     period_s = 1.0 / exposed.endpoint.repeat_hz if exposed.endpoint.repeat_hz else float("inf")
     total_s = sum(step.duration_s for step in steps)
     began_s = due_s = time.monotonic()
-    sent, failure = 0, None
+    step, sent, failed = steps[0], 0, True
+    failure: RoboNeuronError | None = None
     try:
         for number, step in enumerate(steps, start=1):
             stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")
@@ -171,13 +170,14 @@ def _play(
                 if time.monotonic() >= end_s:
                     break
             due_s = end_s
+        failed = False
     except (RefusedError, StateError, NotReadyError) as error:
         failure = error
     finally:
-        stopped = _stop(exposed, writer)
+        end = _end(access, exposed, writer, step, failed and sent > 0)
     if failure is not None:
-        raise _told(failure, time.monotonic() - began_s, total_s, stopped) from failure
-    return sent + int(stopped), stopped
+        raise _told(failure, time.monotonic() - began_s, total_s, end) from failure
+    return sent + int(bool(end)), bool(end)
 
 
 def _send(writer: TopicWriter, step: Step) -> None:
@@ -187,20 +187,30 @@ def _send(writer: TopicWriter, step: Step) -> None:
     writer.publish(step.message)
 
 
-def _stop(exposed: Exposed, writer: TopicWriter) -> bool:
-    """Send the stop message, which was checked when the endpoint was exposed; no gate holds it back."""
+def _end(access: Access, exposed: Exposed, writer: TopicWriter, step: Step, moving: bool) -> str:
+    """Send what ends the motion, and say in words what it was; empty when nothing has to be or can be sent.
+
+    The stop message was checked when the endpoint was exposed; no gate holds it or a hold back. Joints that have come
+    to the end of their command need none, unless it was one of velocities.
+    """
     message = exposed.stop_message(time.time_ns())
+    if message is not None:
+        writer.publish(message)
+        return "the stop message was sent"
+    if not exposed.endpoint.joint_limited or not (moving or is_velocity(step.message)):
+        return ""
+    message = hold(step.message, access.traffic.newest_joints(exposed))
     if message is None:
-        return False
+        return ""
     writer.publish(message)
-    return True
+    return "the joints were told to hold"
 
 
-def _told(error: RoboNeuronError, after_s: float, total_s: float, stopped: bool) -> RoboNeuronError:
+def _told(error: RoboNeuronError, after_s: float, total_s: float, end: str) -> RoboNeuronError:
     """The same kind of error with what became of the motion."""
-    end = "the stop message was sent" if stopped else "there is no stop message"
     cause = error.message.replace(" Nothing was sent.", "")
-    return type(error)(f"Ended after {after_s:.2f} of {total_s:.2f} s, {end}: {cause}", hint=error.hint)
+    ended = end or "nothing could be sent to end it"
+    return type(error)(f"Ended after {after_s:.2f} of {total_s:.2f} s, {ended}: {cause}", hint=error.hint)
 
 
 def _answer(
@@ -216,9 +226,6 @@ def _answer(
             "duration_s": round(duration_s, 6),
             "stopped": stopped,
             "clamped": [{"path": c.path, "asked": c.asked, "sent": c.sent} for c in verdict.clamped],
-            "dry_run": verdict.dry_run,
-            "allowed": verdict.allowed,
-            "rule": verdict.rule,
-            "reason": verdict.reason,
+            **verdict_fields(verdict),
         }
     )

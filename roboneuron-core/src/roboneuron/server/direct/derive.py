@@ -39,7 +39,7 @@ def derive_tools(endpoints: Iterable[Exposed], access: Access, taken: Collection
     delivery = output_schema(Delivery)
     for (kind, label, _), members in groups.items():
         targets = Targets(members)
-        uses = ["publish", "sequence"] if kind == "publish" and not targets.first.endpoint.joint_limited else [kind]
+        uses = ["publish", "sequence"] if kind == "publish" else [kind]
         for use in uses:
             name = tool_name(use, label, targets.first.robot, names)
             names.add(name)
@@ -67,6 +67,8 @@ def _publish(name: str, noun: str, targets: Targets, access: Access, delivery: S
         properties["duration_s"] = duration_argument(access).schema()
         stops = any(e.endpoint.stop_message for e in targets.endpoints)
         lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
+    elif targets.trajectory:
+        lasts = "Returns when its time is over; cancelling the call ends it, the joints hold then. "
     properties |= {"timeout_s": TIMEOUT.schema(), "dry_run": DRY_RUN}
     return DerivedTool(
         name=name,
@@ -84,7 +86,7 @@ def _sequence(name: str, noun: str, targets: Targets, access: Access, delivery: 
     sequencing = Sequencing(access, targets, name)
     step = object_schema(
         {"message": message, "duration_s": sequencing.duration.schema()},
-        [*(["message"] if targets.first.message.fields else []), "duration_s"],
+        [*(["message"] if targets.first.message.fields else []), *([] if targets.trajectory else ["duration_s"])],
     )
     steps: Schema = {
         "type": "array", "items": step, "minItems": 1, "maxItems": MAX_STEPS,

@@ -11,6 +11,7 @@ from roboneuron.config import Config, ExposeConfig
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import AllowedEndpoint, ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.interfaces import Interface, MessageInterface, load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
@@ -168,6 +169,11 @@ def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
         yield made
 
 
+def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
+    """Whether a new endpoint takes joint commands that the robot's own joint limits can be applied to."""
+    return kind == "publish" and type_name in JOINT_TYPES and profile is not None and profile.limits is not None
+
+
 def _key(exposed: Exposed) -> tuple[str, str, str]:
     return exposed.robot, exposed.label, exposed.endpoint.kind
 
@@ -219,6 +225,7 @@ def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str]
         bare = Endpoint(
             name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=str(entry.type),
             summary=entry.summary, stop_message=stop, repeat_hz=entry.repeat_hz or 0.0,
+            joint_limited=is_joint_limited(str(entry.kind), str(entry.type), robot.profile),
         )  # fmt: skip
     else:
         bare = replace(

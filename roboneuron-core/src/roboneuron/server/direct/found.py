@@ -9,10 +9,9 @@ from dataclasses import replace
 from roboneuron.config import Config, DiscoverConfig
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
-from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.gate.limits import number_fields
 from roboneuron.interfaces import load_interface
-from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.endpoints import Exposed, is_joint_limited
 
 OTHERS = "*"
 """Stands in `limits` for all numbers of a type that are not named."""
@@ -60,7 +59,7 @@ def limit(found: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) -> Ex
             lender.endpoint, name=bare.name, topic=bare.topic, summary=bare.summary,
             rate_hz=_slower(bare.rate_hz, lender.endpoint.rate_hz),
         )  # fmt: skip
-    elif bare.kind == "publish" and bare.type in JOINT_TYPES and found.profile is not None and found.profile.limits:
+    elif is_joint_limited(bare.kind, bare.type, found.profile):
         bare = replace(bare, joint_limited=True)
     named = {path: (low, high) for path, (low, high) in own.items() if path != OTHERS}
     if OTHERS in own:

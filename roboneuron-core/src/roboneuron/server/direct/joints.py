@@ -12,7 +12,6 @@ from pydantic import Field
 
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
-from roboneuron.gate import GateRequest
 from roboneuron.gate.joints import JointLimit, joint_limits
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import (
@@ -25,16 +24,16 @@ from roboneuron.server.direct.arguments import (
     take_object,
 )
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.joint_commands import TRAJECTORY, hold
 from roboneuron.server.direct.motion import Motion
+from roboneuron.server.direct.request import gate_request, judge_dry_run
 from roboneuron.server.schema import output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
 
-_TYPE = "trajectory_msgs/msg/JointTrajectory"
 _EASY = 0.4
 """Share of the velocity limits that a move uses when it is given no duration."""
 _REACHED = 0.01
 _SETTLE_S = 3.0
-_HOLD_S = 0.1
 
 
 class JointMove(Result):
@@ -51,7 +50,7 @@ class JointMove(Result):
 
 def joint_tools(endpoints: Iterable[Exposed], access: Access) -> list[DerivedTool]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
-    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == _TYPE), None)
+    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None)
     if found is None or found.profile is None:
         return []
     limits = joint_limits(found.profile)
@@ -114,7 +113,9 @@ class _JointMover:
         dry_run = take_flag(arguments, "dry_run")
         halt = threading.Event()
         return await context.run(
-            lambda stage: self._move(target, asked_s, arguments, context, dry_run, stage, halt), on_cancel=halt.set
+            lambda stage: self._move(target, asked_s, arguments, context, dry_run, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
         )
 
     def _move(
@@ -126,17 +127,11 @@ class _JointMover:
         if joints is None:
             raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
         duration_s = asked_s or self._easy_s(target, joints)
-        request = GateRequest(
-            who=context.who, role=context.role, tool="move_joints", robot=exposed.robot,
-            endpoint=exposed.endpoint.name, messages=(_message(target, duration_s),), arguments=arguments,
-            joints=joints, dry_run=dry_run,
-        )  # fmt: skip
+        request = gate_request(
+            context, "move_joints", exposed, [_message(target, duration_s)], arguments, joints=joints, dry_run=dry_run
+        )
         if dry_run:
-            try:
-                access.desk.check_free(exposed)
-                verdict = access.gate.check(request)
-            except RefusedError as error:
-                return self._answer(target, joints, 0.0, allowed=False, reason=str(error), dry_run=True)
+            verdict = judge_dry_run(access, exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
         with access.desk.claim(exposed, "move_joints", halt) as motion:
             writer = access.traffic.writer(exposed)
@@ -148,18 +143,18 @@ class _JointMover:
             started_s = time.monotonic()
             writer.publish(request.messages[0])
             try:
-                end = self._follow(target, duration_s, motion, stage)
+                reached = self._follow(target, duration_s, motion, stage)
             except (RefusedError, StateError) as error:
-                now = access.traffic.newest_joints(exposed)
-                if now is not None:
-                    writer.publish(_message({n: _position(now, n) for n in target}, _HOLD_S))
+                end = hold(request.messages[0], access.traffic.newest_joints(exposed))
+                if end is not None:
+                    writer.publish(end)
+                told = "the joints were told to hold" if end is not None else "the joints are not measured"
                 cause = error.message.replace(" Nothing was sent.", "")
                 raise type(error)(
-                    f"Ended after {time.monotonic() - started_s:.2f} of {duration_s:.2f} s, the joints were told to "
-                    f"hold: {cause}",
+                    f"Ended after {time.monotonic() - started_s:.2f} of {duration_s:.2f} s, {told}: {cause}",
                     hint=error.hint,
                 ) from error
-            return self._answer(target, end, time.monotonic() - started_s, True, "", False)
+            return self._answer(target, reached, time.monotonic() - started_s, True, "", False)
 
     def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
         """Duration at which every joint uses at most a share of its velocity limit."""

@@ -24,7 +24,8 @@ from roboneuron.server.direct.endpoints import Exposed, Exposure, exposure, uniq
 from roboneuron.server.direct.found import check_patterns
 from roboneuron.server.direct.generic import generic_tools
 from roboneuron.server.direct.motion import MotionDesk
-from roboneuron.server.direct.parameters import parameter_endpoints, parameter_tools
+from roboneuron.server.direct.parameter_calls import parameter_endpoints
+from roboneuron.server.direct.parameters import parameter_tools
 from roboneuron.server.direct.traffic import Traffic
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.registry import ToolRegistry

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
-from roboneuron.gate import GateRequest
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import Number, Schema, check_names, object_schema
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.request import gate_request
 from roboneuron.server.direct.schemas import decoded_schema
 from roboneuron.server.direct.targets import Targets
 from roboneuron.server.tool import Answer, CallContext, Picture
@@ -51,15 +51,7 @@ class Reading:
         check_names(arguments, self._names)
         exposed = self._targets.take(arguments)
         count, timeout_s = int(COUNT.take("count", arguments)), TIMEOUT.take("timeout_s", arguments)
-        request = GateRequest(
-            who=context.who,
-            role=context.role,
-            tool=self._tool,
-            robot=exposed.robot,
-            endpoint=exposed.endpoint.name,
-            arguments=arguments,
-        )
-        self._access.gate.check(request)
+        self._access.gate.check(gate_request(context, self._tool, exposed, (), arguments))
         halt = threading.Event()
         return await context.run(lambda _: self._read(exposed, count, timeout_s, halt), on_cancel=halt.set)
 

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from roboneuron.errors import InvalidInputError
-from roboneuron.gate import GateRequest
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import Number, check_names, inside, take_flag, take_list
 from roboneuron.server.direct.delivery import TIMEOUT, Step, carry_out
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.joint_commands import duration_s
 from roboneuron.server.direct.publish import encode_step
+from roboneuron.server.direct.request import gate_request
 from roboneuron.server.direct.targets import Targets
 from roboneuron.server.tool import Answer, CallContext
 
@@ -48,20 +49,18 @@ class Sequencing:
             )
         if times * len(steps) > MAX_STEPS:
             raise InvalidInputError(f"{times} x {len(steps)} steps are more than {MAX_STEPS}.", path="times")
-        request = GateRequest(
-            who=context.who,
-            role=context.role,
-            tool=self._tool,
-            robot=exposed.robot,
-            endpoint=exposed.endpoint.name,
-            messages=tuple(step.message for step in steps),
-            arguments=arguments,
-            dry_run=dry_run,
-        )
+        played = steps * times
+        joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
+        request = gate_request(
+            context, self._tool, exposed, [step.message for step in (played if joint_limited else steps)], arguments,
+            joints=self._access.traffic.newest_joints(exposed) if joint_limited else None,
+            durations_s=[step.duration_s for step in played] if joint_limited else [], dry_run=dry_run,
+        )  # fmt: skip
         halt = threading.Event()
         return await context.run(
-            lambda stage: carry_out(self._access, exposed, request, steps * times, timeout_s, stage, halt),
+            lambda stage: carry_out(self._access, exposed, request, played, timeout_s, stage, halt),
             on_cancel=halt.set,
+            on_leave=halt.set,
         )
 
     def _step(self, exposed: Exposed, entry: Any, index: int) -> Step:
@@ -70,6 +69,10 @@ class Sequencing:
             raise InvalidInputError(f"{where} is not an object with `message` and `duration_s`.", path=where)
         try:
             check_names(entry, ["message", "duration_s"])
+            if self._targets.trajectory and entry.get("duration_s") is None:
+                step = encode_step(exposed, entry, "message", 0.0)
+                step.duration_s = duration_s(step.message)
+                return step
             return encode_step(exposed, entry, "message", self.duration.take("duration_s", entry))
         except InvalidInputError as error:
             raise inside(error, where) from error

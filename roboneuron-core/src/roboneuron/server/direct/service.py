@@ -7,20 +7,13 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.errors import NotReadyError, StateError
 from roboneuron.gate import GateRequest, Verdict
 from roboneuron.interfaces import ServiceInterface
 from roboneuron.server.direct.access import Access
-from roboneuron.server.direct.arguments import (
-    Number,
-    Schema,
-    check_names,
-    inside,
-    object_schema,
-    take_flag,
-    take_object,
-)
+from roboneuron.server.direct.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.request import VERDICT, encode_argument, gate_request, judge_dry_run, verdict_fields
 from roboneuron.server.direct.schemas import decoded_schema
 from roboneuron.server.direct.targets import Targets
 from roboneuron.server.direct.traffic import Traffic
@@ -40,10 +33,7 @@ def service_schema(targets: Targets) -> Schema:
         "type": {"type": "string"},
         "response": decoded_schema(interface.response),
         "took_s": {"type": "number"},
-        "dry_run": {"type": "boolean", "description": "it was only a question; nothing was sent"},
-        "allowed": {"type": "boolean"},
-        "rule": {"type": "string", "description": "dry run: the rule that would refuse"},
-        "reason": {"type": "string", "description": "dry run: why"},
+        **VERDICT,
     }
     return object_schema(properties, [name for name in properties if name != "response"])
 
@@ -65,27 +55,11 @@ class Calling:
         assert isinstance(interface, ServiceInterface)
         timeout_s = TIMEOUT.take("timeout_s", arguments)
         dry_run = take_flag(arguments, "dry_run")
-        value = take_object(arguments, "request", required=bool(interface.request.fields))
-        try:
-            message = interface.request.encode(value, now_ns=time.time_ns())
-        except InvalidInputError as error:
-            raise inside(error, "request") from error
-        request = GateRequest(
-            who=context.who,
-            role=context.role,
-            tool=self._tool,
-            robot=exposed.robot,
-            endpoint=exposed.endpoint.name,
-            messages=(message,),
-            arguments=arguments,
-            dry_run=dry_run,
-        )
-        try:
-            self._access.desk.check_free(exposed)
-        except RefusedError as error:
-            if not dry_run:
-                raise
-            return _answer(exposed, Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership"))
+        message = encode_argument(interface.request, arguments, "request")
+        request = gate_request(context, self._tool, exposed, [message], arguments, dry_run=dry_run)
+        if dry_run:
+            return _answer(exposed, judge_dry_run(self._access, exposed, request))
+        self._access.desk.check_free(exposed)
         halt = threading.Event()
         return await context.run(lambda _: self._call(exposed, request, timeout_s, halt), on_cancel=halt.set)
 
@@ -93,8 +67,7 @@ class Calling:
         interface = exposed.interface
         assert isinstance(interface, ServiceInterface)
         started_s = time.monotonic()
-        if not request.dry_run:
-            await_service(self._access.traffic, interface.ros_type, exposed.topic, timeout_s, halt)
+        await_service(self._access.traffic, interface.ros_type, exposed.topic, timeout_s, halt)
         verdict = self._access.gate.check(request)
         if not verdict.may_send:
             return _answer(exposed, verdict)
@@ -154,10 +127,7 @@ def _answer(exposed: Exposed, verdict: Verdict, response: Any = None, took_s: fl
         "service": exposed.topic,
         "type": exposed.endpoint.type,
         "took_s": round(took_s, 6),
-        "dry_run": verdict.dry_run,
-        "allowed": verdict.allowed,
-        "rule": verdict.rule,
-        "reason": verdict.reason,
+        **verdict_fields(verdict),
     }
     if response is not None:
         structured["response"] = response

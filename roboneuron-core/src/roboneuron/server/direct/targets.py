@@ -7,6 +7,7 @@ from typing import Any
 
 from roboneuron.server.direct.arguments import Schema, choice, take_choice
 from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.joint_commands import TRAJECTORY
 
 
 class Targets:
@@ -28,8 +29,15 @@ class Targets:
 
     @property
     def lasting(self) -> bool:
-        """Whether a published value lasts for a duration: it has a stop message or must be repeated."""
-        return any(e.endpoint.stop_message or e.endpoint.repeat_hz for e in self.endpoints)
+        """Whether a published value is given a duration: it is stopped after it, repeated, or to be reached within."""
+        if self.trajectory:
+            return False
+        return any(e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited for e in self.endpoints)
+
+    @property
+    def trajectory(self) -> bool:
+        """Whether a message has a duration of its own."""
+        return self.first.endpoint.type == TRAJECTORY
 
     def schema(self) -> dict[str, Schema]:
         """The properties that choose."""
