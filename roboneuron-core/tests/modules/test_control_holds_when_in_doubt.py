@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
-from roboneuron.gate.estop import FILE_NAME
+from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.ros.messages import to_action_message, to_joint_state
-from roboneuron.ros.qos import LATCHED
+from roboneuron.ros.qos import LATCHED, NEWEST
 
 pytestmark = pytest.mark.ros
 FORWARD = np.array([0.01, 0, 0, 0, 0, 0, 1.0])
@@ -137,6 +139,15 @@ def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell],
     assert not cell.commands
 
 
+@pytest.mark.parametrize("qos", [LATCHED, NEWEST], ids=["transient local", "volatile, as ros2 topic pub"])
+def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile) -> None:
+    publisher = cell.world.node.create_publisher(Bool, "emergency_stop", qos)
+    assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(Bool(data=True))
+    assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
+    assert "topic" in EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns).read_state().who
+
+
 def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     stop = cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED)
     cell.actions.publish(to_action_message(FORWARD))
@@ -148,6 +159,8 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     assert cell.wait_until(lambda: cell.dropped("emergency_stop") == 1)
     assert len(cell.commands) == 2
     stop.publish(Bool(data=False))
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without the latch"
+    (cell.world.state_directory / FILE_NAME).unlink()
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 3)

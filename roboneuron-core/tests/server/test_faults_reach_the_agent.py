@@ -68,7 +68,11 @@ def test_faults_are_told_recorded_and_survived(
         control = await agent.module("control")
         os.kill(control["pid"], signal.SIGSTOP)
         await agent.until_health("control", "silent", timeout_s=2.0)
-        assert len(updates) > before
+
+        async def is_told() -> bool:
+            return len(updates) > before
+
+        await agent.until(is_told, 2.0)
         assert set(updates) == {STATUS}
         os.kill(control["pid"], signal.SIGCONT)
         await agent.until_health("control", "ok")
@@ -114,6 +118,22 @@ def test_faults_are_told_recorded_and_survived(
         await anyio.run_process([*estop, "--reset"], env=server_environment)
         assert not (await agent.do("get_status"))["emergency_stop"]
 
+        for pid in (status["pid"], (await agent.module("robot"))["pid"]):
+            os.kill(pid, signal.SIGUSR1)
+            for kind in ("robot", "control", "inference"):
+
+                async def is_stopped_too(kind: str = kind) -> bool:
+                    return (await agent.module(kind))["emergency_stop"] is True
+
+                await agent.until(is_stopped_too, 2.0)
+            assert "SIGUSR1" in (await agent.do("get_status"))["emergency_stop_cause"]
+            await anyio.run_process([*estop, "--reset"], env=server_environment)
+
+            async def is_released() -> bool:
+                return not (await agent.do("get_status"))["emergency_stop"]
+
+            await agent.until(is_released, 2.0)
+
     async def connect() -> None:
         command = serve_command()
         server = StdioServerParameters(command=command[0], args=command[1:], env=server_environment)
@@ -124,4 +144,4 @@ def test_faults_are_told_recorded_and_survived(
 
     anyio.run(connect)
     audit = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
-    assert [a["tool"] for a in audit if "command line" in a["who"]] == ["estop", "reset_emergency_stop"]
+    assert [a["tool"] for a in audit if "command line" in a["who"]] == ["estop", *3 * ["reset_emergency_stop"]]

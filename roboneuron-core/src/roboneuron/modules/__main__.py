@@ -52,7 +52,8 @@ def _run(settings: ModuleSettings) -> None:
 
     # rclpy's own handlers end the context first: then nobody could publish a last hold.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    stop = threading.Event()
+    stop, pressed = threading.Event(), threading.Event()
+    signal.signal(signal.SIGUSR1, lambda *_: pressed.set())
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     node = ModuleNode(settings, build)
@@ -60,7 +61,10 @@ def _run(settings: ModuleSettings) -> None:
     executor.add_node(node)
     watch_stdin(stop.set)
     try:
-        while not stop.is_set():  # wakes at least every 0.1 s: the node's loop timer
+        while not stop.is_set():  # wakes with every turn of the node's loop timer
+            if pressed.is_set():
+                pressed.clear()
+                node.press_stop("the signal SIGUSR1")
             try:
                 executor.spin_once()
             except Exception as error:  # the module border: a plugin's callback may raise anything

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import Bool
 
-from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.errors import InternalError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.modules.priority import restore
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
 from roboneuron.modules.status import ModuleStatus, StatusReporter
-from roboneuron.ros.qos import LATCHED
+from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
 """How often the executor shows that it turns, and looks at the latch file (1 us)."""
@@ -63,13 +66,26 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.status = ModuleStatus(settings.status_name)
         self.stopped = False
         self.status.set_value(StatusKey.EMERGENCY_STOP, False)
-        self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, LATCHED)
+        for qos in STOP_REQUESTS:
+            self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
         self._latch = EmergencyStopLatch(Path(settings.state_directory) / FILE_NAME, time.time_ns)
         self._told_to_stop = False
+        self._outputs: dict[str, LifecyclePublisher] = {}
+        self._listeners: dict[str, int] = {}
         self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
+
+    def create_lifecycle_publisher(self, message_type: type, topic: str, *arguments: Any, **options: Any) -> Any:
+        """As of LifecycleNode; the status tells how many listeners it has found, as `listeners.<topic>`."""
+        self._outputs[topic] = super().create_lifecycle_publisher(message_type, topic, *arguments, **options)
+        return self._outputs[topic]
+
+    def destroy_lifecycle_publisher(self, publisher: LifecyclePublisher) -> None:
+        """As of LifecycleNode."""
+        self._outputs = {topic: other for topic, other in self._outputs.items() if other is not publisher}
+        super().destroy_lifecycle_publisher(publisher)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -77,6 +93,11 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         result = self._attempt(self.module.configure, "inactive", otherwise="unconfigured")
         if result is TransitionCallbackReturn.FAILURE:
             self.module.close()
+            return result
+        # What is loaded stays: a full collection over all of it would be a pause of up to half a second in the loop.
+        gc.collect()
+        gc.freeze()
+        restore()
         return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -142,10 +163,30 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _on_loop(self) -> None:
         self.status.tick_loop()
         self._check_stop()
+        for topic, publisher in self._outputs.items():
+            count = publisher.get_subscription_count()
+            if count != self._listeners.get(topic):
+                self._listeners[topic] = count
+                self.status.set_value(f"listeners.{topic}", count)
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        self._told_to_stop = bool(message.data)
+        """Any node may stop; only the latch's own reset releases what it stopped."""
+        if message.data:
+            self.press_stop(f"a node on the topic {EMERGENCY_STOP_TOPIC}")
+        else:
+            self._told_to_stop = False
+            self._check_stop()
+
+    def press_stop(self, who: str) -> None:
+        """Stop this module at once, then latch it for every process and restart: from then on the latch file counts."""
+        self._told_to_stop = True
         self._check_stop()
+        try:
+            self._latch.press(who=who, reason=f"received by the module {self.settings.kind}")
+        except UnsafeError as error:
+            log.error("%s", error)
+        else:
+            self._told_to_stop = False
 
     def _check_stop(self) -> None:
         """Two independent ways lead here: the topic, and the latch file, which needs no other process to be alive."""

@@ -20,6 +20,10 @@ LATCHED = QoSProfile(
 )
 """The emergency stop: late joiners receive the last value."""
 
+STOP_REQUESTS = (LATCHED, NEWEST)
+"""To hear every emergency stop, subscribe with each: one that asks for the last value never matches a publisher
+that keeps none, such as `ros2 topic pub`."""
+
 STATUS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=20,

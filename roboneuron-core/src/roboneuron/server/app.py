@@ -177,8 +177,10 @@ class Application:
             self._is_joining = False
 
     async def settle(self) -> None:
-        """Once ROS is joined: see `shorten_pauses`."""
+        """Once ROS is joined: hear the emergency stops of other nodes; and see `shorten_pauses`."""
         await self._join_ros()
+        with suppress(RoboNeuronError):  # told by the tools that need ROS
+            await to_thread.run_sync(self.loop.emergency_stop.prepare, self.loop.config.namespace)
         await to_thread.run_sync(shorten_pauses)
 
     def _on_lapse(self, reason: str) -> None:
@@ -242,6 +244,7 @@ def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
     """
     application = Application(config)
     check_configuration(config, application.plugins.current())
+    application.loop.emergency_stop.press_on_signal(config.namespace)
     application.open()
     try:
         anyio.run(_serve, application, wire)

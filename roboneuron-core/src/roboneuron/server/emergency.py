@@ -7,6 +7,7 @@ that are not ours.
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -52,19 +53,42 @@ class EmergencyStop:
         return f"{state.who}: {state.reason}" if state.latched and state.who else ""
 
     def prepare(self, namespace: str) -> None:
-        """Make the topic known before it is needed; a latched stop reaches modules that start later."""
+        """Make the topic known before it is needed, and tell modules that start later what the latch says now."""
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
-        from roboneuron.ros.qos import LATCHED
+        from roboneuron.ros.qos import LATCHED, STOP_REQUESTS
 
+        topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
         with self._lock:
-            if namespace in self._publishers:
-                return
-            publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
-            self._publishers[namespace] = publish
-            if self._latch.is_latched():
-                publish(Bool(data=True))
+            if namespace not in self._publishers:
+                self._publishers[namespace] = link.advertise(Bool, topic, LATCHED)
+                for qos in STOP_REQUESTS:
+                    link.subscribe(Bool, topic, lambda message: self._on_topic(topic, message.data), qos)
+            self._publishers[namespace](Bool(data=self._latch.is_latched()))
+
+    def _on_topic(self, topic: str, is_pressed: bool) -> None:
+        """Any node of the graph may stop; none may release."""
+        if is_pressed:
+            try:
+                self._latch.press(who=f"a node on the topic {topic}", reason="received by the server")
+            except UnsafeError as error:
+                log.error("%s", error)
+
+    def press_on_signal(self, namespace: str) -> None:
+        """From now on SIGUSR1 latches the stop; called on the main thread."""
+
+        def press() -> None:
+            try:
+                self.latch(namespace, who="the signal SIGUSR1", reason="")
+            except (UnsafeError, NotReadyError) as error:
+                log.error("%s", error)
+
+        def on_signal(*_: object) -> None:
+            """A thread of its own: the interrupted one may hold any lock."""
+            threading.Thread(target=press, name="emergency-stop").start()
+
+        signal.signal(signal.SIGUSR1, on_signal)
 
     def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.
