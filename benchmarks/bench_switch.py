@@ -26,7 +26,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from switch_loop import Sent, moving_loop, quiet
 
 from roboneuron.errors import RoboNeuronError
-from roboneuron.server.loop import ClosedLoop, SwitchMode
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.replacing import SwitchMode
 from roboneuron.server.selection import InferenceRequest
 
 

@@ -38,6 +38,9 @@ stop_timeout_s = 3.0
 [plugins.numbering]
 rate_hz = {rate_hz}
 {camera_options}
+[plugins.other]
+rate_hz = {rate_hz}
+tag = 7
 [plugins.second]
 tag = 2
 """

@@ -1,4 +1,4 @@
-"""The plugin that change-overs are judged with: a camera that numbers its images, and backends that name them.
+"""The plugin that change-overs are judged with: cameras that number their images, and backends that name them.
 
 The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians, and its `rz` says
 in nano-radians which backend acted; the motion along x is a slow sine of the images' time, the same for each backend.
@@ -18,7 +18,19 @@ from roboneuron.plugins.markers import hookimpl
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, PerceptionSpec, RobotSpec
 
 if TYPE_CHECKING:
-    from roboneuron.contract import ActionChunk, CameraProfile, Frame, Observation, Topics
+    from roboneuron.contract import (
+        Action,
+        ActionChunk,
+        CameraProfile,
+        Frame,
+        Hold,
+        JointCommand,
+        JointSample,
+        Observation,
+        Pose,
+        RobotProfile,
+        Topics,
+    )
 
 PLUGIN = "switch_plugin"
 NANO = 1e-9
@@ -40,6 +52,8 @@ class CameraOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     rate_hz: float = Field(default=10.0, gt=0, description="images per second")
+    tag: int = Field(default=0, description="who delivered, in the images")
+    scale: int = Field(default=1, ge=1, description="images are smaller than the camera by this factor")
     mode_file: str = Field(default="", description='a file that says what is wrong: "frozen", "black", "small"')
 
 
@@ -84,10 +98,14 @@ class NumberingCamera:
         mode = _read(self._options.mode_file)
         if mode == "frozen" and self._newest is not None:
             return self._newest
-        scale = 2 if mode == "small" else 1
+        while mode == "hang":
+            time.sleep(0.01)
+            mode = _read(self._options.mode_file)
+        scale = 2 if mode == "small" else self._options.scale
         image = np.zeros((self._camera.height // scale, self._camera.width // scale, 3), dtype=np.uint8)
         if mode != "black":
             image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
+            image[0].reshape(-1)[4] = self._options.tag
         self._newest = Frame(
             camera=self._camera.name, image=image, stamp_ns=self._topics.now_ns(), frame_id=self._camera.frame_id
         )
@@ -138,6 +156,62 @@ class NamingBackend:
         """Nothing to release."""
 
 
+class ControllerOptions(BaseModel):
+    """Options of the faulty controller."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    tool_m: float = Field(default=0.0, description="its TCP lies this far along z from the gantry's")
+    offset: float = Field(default=0.0, description="added to the commanded position of the first joint")
+    mode_file: str = Field(default="", description='a file that says what is wrong: "hold", "raise", "hang"')
+
+
+class FaultyController:
+    """Follows the protocol `Controller`: the gantry's, and what its options say is wrong with it."""
+
+    def __init__(self, config: ControllerOptions | None, profile: RobotProfile) -> None:
+        from roboneuron.testing.fakes.controller import GantryController
+
+        self._options = config or ControllerOptions()
+        self._inner = GantryController(None, profile)
+
+    def load(self) -> None:
+        """Nothing to load."""
+        self._inner.load()
+
+    def forward(self, joints: JointSample) -> Pose:
+        """The gantry's pose, moved by `tool_m`."""
+        from dataclasses import replace
+
+        pose = self._inner.forward(joints)
+        position_m = pose.position_m.copy()
+        position_m[2] += self._options.tool_m
+        return replace(pose, position_m=position_m)
+
+    def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
+        """The gantry's command, moved by `offset`."""
+        from dataclasses import replace
+
+        from roboneuron.contract import Hold
+
+        while (mode := _read(self._options.mode_file)) == "hang":
+            time.sleep(0.01)
+        if mode == "raise":
+            raise ValueError("the controller fell over")
+        if mode == "hold":
+            return Hold(code="doubt", reason="The controller is in doubt.")
+        command = self._inner.compute(action, joints, step_s)
+        if isinstance(command, Hold):
+            return command
+        position = command.position.copy()
+        position[0] += self._options.offset
+        return replace(command, position=position)
+
+    def close(self) -> None:
+        """Nothing to release."""
+        self._inner.close()
+
+
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
     """One policy under several names."""
@@ -156,23 +230,30 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 
 @hookimpl
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
-    """The camera."""
+    """One camera under two names."""
     return [
         PerceptionSpec(
-            name="numbering",
+            name=name,
             summary="Numbers its images.",
             target=f"{PLUGIN}:NumberingCamera",
             config=f"{PLUGIN}:CameraOptions",
         )
+        for name in ("numbering", "other")
     ]
 
 
 @hookimpl
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
-    """The fake gantry's."""
+    """The fake gantry's, and one with faults."""
     from roboneuron.testing.fakes.controller import FAKE_CONTROLLER
 
-    return [FAKE_CONTROLLER]
+    faulty = ControllerSpec(
+        name="faulty",
+        summary="The gantry's, with faults.",
+        target=f"{PLUGIN}:FaultyController",
+        config=f"{PLUGIN}:ControllerOptions",
+    )
+    return [FAKE_CONTROLLER, faulty]
 
 
 @hookimpl

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import logging
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import Config
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.errors import RefusedError, StateError
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.emergency import EmergencyStop
+from roboneuron.server.instructing import instruct
+from roboneuron.server.neighbours import check_cameras, check_same_commands
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.replacing import Replacing, Switched, SwitchMode
 from roboneuron.server.selection import (
     InferenceRequest,
     Options,
@@ -25,36 +26,13 @@ from roboneuron.server.selection import (
     select_robot,
 )
 from roboneuron.server.stream import ActionStream
-from roboneuron.server.switching import Change, WarmSwitch, measure_gap
+from roboneuron.server.trials import ControlTrial, InferenceTrial, PerceptionTrial
 from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.supervisor import Stage, Supervisor
 from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
     from roboneuron.plugins.specs import RobotSpec
-
-log = logging.getLogger(__name__)
-_PARAMETER_S = 5.0
-SwitchMode = Literal["warm", "cold"]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Switched:
-    """A backend that took the place of another.
-
-    Attributes:
-        view: the new one.
-        replaced: what was chosen for the old one.
-        change: what the change-over did to the actions.
-        took_s: the whole call, loading included.
-    """
-
-    view: ModuleView
-    replaced: dict[str, str]
-    mode: SwitchMode
-    change: Change
-    took_s: float
 
 
 class ClosedLoop:
@@ -66,7 +44,7 @@ class ClosedLoop:
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self._before: Selection | None = None
+        self._replacing = Replacing(supervisor, self._start)
         self._streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
 
@@ -129,7 +107,7 @@ class ClosedLoop:
             request = replace(request, instruction=old.report.instruction)
         selection = self._select_inference(request)
         self._check_may_move(selection)
-        return self._replace(old, selection, mode, on_stage)
+        return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
 
     def roll_back_inference(self, mode: SwitchMode, on_stage: Stage) -> Switched:
         """Replace the running backend by the one before the last switch, with the present instruction.
@@ -138,54 +116,52 @@ class ClosedLoop:
             StateError: there was no switch.
         """
         old = self.supervisor.require_running("inference")
-        selection = self._before
-        if selection is None:
-            raise StateError("There is no backend to go back to: none was replaced yet.")
+        selection = self._replacing.before("inference", InferenceTrial.noun)
         section = selection.config.inference
         assert section is not None
         instruction = old.report.instruction if old.report is not None else section.instruction
         section = section.model_copy(update={"instruction": instruction})
         selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
         self._check_may_move(selection)
-        return self._replace(old, selection, mode, on_stage)
+        return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
 
-    def _replace(self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage) -> Switched:
+    def switch_perception(
+        self, source: str | None, cameras: tuple[str, ...], options: Options, mode: SwitchMode, on_stage: Stage
+    ) -> Switched:
+        """Replace the running source of images, on the same topics; it serves the same cameras unless others are named.
+
+        Raises as `switch_inference`.
+        """
+        old = self.supervisor.require_running("perception")
         assert old.choice is not None
-        started_s = time.monotonic()
-        replaced = Selection(
-            config=old.choice.settings.config, names=old.choice.names, python=self._python_of(old), cameras={}
-        )
-        if mode == "warm":
-            stream = self.stream(selection.config.namespace)
-            change = WarmSwitch(self.supervisor, selection, stream, on_stage).run()
-        else:
-            change = self._switch_cold(replaced, selection, on_stage)
-        self._before = replaced
-        return Switched(
-            view=self.supervisor.view("inference"),
-            replaced=dict(replaced.names),
-            mode=mode,
-            change=change,
-            took_s=time.monotonic() - started_s,
-        )
+        running = old.choice.settings.config.perception
+        served = running.cameras if running is not None else ()
+        selection = select_perception(self.config, self.plugins.current(), source, cameras or served, options)
+        self._check_serves_backend(selection)
+        return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
 
-    def _switch_cold(self, replaced: Selection, selection: Selection, on_stage: Stage) -> Change:
-        """Stop the old one, then start the new one: for a machine without memory for two."""
-        on_stage("inference: stopping the old backend")
-        self.supervisor.stop("inference")
-        try:
-            view = self._start("inference", selection, on_stage)
-        except RoboNeuronError as error:
-            before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
-            error.hint = f"{error.hint} No backend is running now; before there was {before}.".strip()
-            raise
-        stream = self.stream(selection.config.namespace)
-        return Change(gap=measure_gap(self.supervisor, stream, view.report), difference=None)
+    def roll_back_perception(self, mode: SwitchMode, on_stage: Stage) -> Switched:
+        """Go back to the source before the last switch. Raises StateError when there was no switch."""
+        old = self.supervisor.require_running("perception")
+        selection = self._replacing.before("perception", PerceptionTrial.noun)
+        self._check_serves_backend(selection)
+        return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
 
-    @staticmethod
-    def _python_of(view: ModuleView) -> str | None:
-        section = view.choice.settings.config.inference if view.choice is not None else None
-        return section.python if section is not None else None
+    def switch_control(self, controller: str | None, options: Options, mode: SwitchMode, on_stage: Stage) -> Switched:
+        """Replace the running controller, on the same topics. Raises as `switch_inference`."""
+        old = self.supervisor.require_running("control")
+        selection = select_control(self.config, self.plugins.current(), controller, options)
+        check_same_commands(old, selection)
+        return self._replacing.replace(old, selection, ControlTrial(self.supervisor, selection), mode, on_stage)
+
+    def roll_back_control(self, mode: SwitchMode, on_stage: Stage) -> Switched:
+        """Go back to the controller before the last switch. Raises StateError when there was no switch."""
+        old = self.supervisor.require_running("control")
+        selection = self._replacing.before("control", ControlTrial.noun)
+        return self._replacing.replace(old, selection, ControlTrial(self.supervisor, selection), mode, on_stage)
+
+    def _inference_trial(self, selection: Selection) -> InferenceTrial:
+        return InferenceTrial(self.supervisor, selection, self.stream(selection.config.namespace))
 
     def stream(self, namespace: str) -> ActionStream:
         """What is sent on a robot's action topic since a backend was first started for it."""
@@ -226,41 +202,9 @@ class ClosedLoop:
             NotReadyError: no action within the time; the message says what is missing.
         """
         text = check_instruction(text)
-        view = self.supervisor.require_running("inference")
+        self.supervisor.require_running("inference")
         self._check_not_latched()
-        before = view.report
-        count = before.instruction_count if before is not None else 0
-        errors = before.error_count if before is not None else 0
-        started_s = time.monotonic()
-        assert view.choice is not None
-        parameters = ParameterClient(
-            self.supervisor.link, self.supervisor.changes, f"/{view.choice.settings.status_name}"
-        )
-        refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
-        if refused:
-            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
-
-        def settled() -> Report | None:
-            report = self.supervisor.require_running("inference").report
-            if report is None or report.instruction_count <= count:
-                return None
-            if report.actions_for_instruction > 0:
-                return report
-            failure = report.failure()
-            if failure is not None and report.error_count > errors:
-                raise failure
-            return None
-
-        report = self.supervisor.changes.wait_for(settled, timeout_s)
-        if report is None:
-            newest = self.supervisor.view("inference").report
-            missing = newest.waiting_for or newest.note if newest is not None else "its status"
-            raise NotReadyError(
-                f"The backend has published no action for {text!r} within {timeout_s:g} s; it waits for: "
-                f"{missing or 'its first inference'}.",
-                hint="The instruction stays set; see get_status, or give another one.",
-            )
-        return report, time.monotonic() - started_s
+        return instruct(self.supervisor, text, timeout_s)
 
     def _check_may_move(self, selection: Selection) -> None:
         """A backend with an instruction has to prove itself by an action, which a latched stop forbids."""
@@ -277,22 +221,16 @@ class ClosedLoop:
             )
 
     def _select_inference(self, request: InferenceRequest) -> Selection:
-        config = self.config
-        selection = select_inference(config, self.plugins.current(), request)
+        selection = select_inference(self.config, self.plugins.current(), request)
         perception = self.supervisor.view("perception")
         if perception.phase == "running" and perception.choice is not None:
-            section = perception.choice.settings.config.perception
-            served = section.cameras if section is not None else ()
-            backend = self.plugins.current().get("backend", selection.names["backend"])
-            needed = [selection.cameras[role] for role in backend.cameras]
-            absent = [camera for camera in needed if served and camera not in served]
-            if absent:
-                raise InvalidInputError(
-                    f"Backend {backend.name!r} needs the camera {', '.join(absent)}, "
-                    f"but perception serves only {', '.join(served)}.",
-                    hint="Stop perception and start it with all cameras, or name others in `cameras`.",
-                )
+            check_cameras(self.plugins.current(), selection.config, perception.choice.settings.config)
         return selection
+
+    def _check_serves_backend(self, selection: Selection) -> None:
+        inference = self.supervisor.view("inference")
+        if inference.phase == "running" and inference.choice is not None:
+            check_cameras(self.plugins.current(), inference.choice.settings.config, selection.config)
 
     def _start(self, kind: ModuleKind, selection: Selection, on_stage: Stage) -> ModuleView:
         self.emergency_stop.prepare(selection.config.namespace)

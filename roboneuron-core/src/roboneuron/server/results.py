@@ -100,20 +100,21 @@ class StopAllResult(Result):
 
 
 class SwitchResult(Result):
-    """The new backend runs and has proved that it works."""
+    """The new module runs and has proved that it works."""
 
     module: ModuleStatus
     replaced: dict[str, str] = Field(description="what ran before")
     mode: Literal["warm", "cold"]
     gap_s: float | None = Field(
         default=None,
-        description="from the last action of the old backend to the first of the new one, by the times at which they "
-        "were sent; none when one of them did not act",
+        description="from the last output of the old one to the first of the new one, by the times at which they were "
+        "sent (actions of a backend, commands of a controller, images of a source, of the camera with the longest "
+        "gap); none when one of them sent nothing",
     )
-    period_s: float | None = Field(default=None, description="time between the old backend's actions")
-    missed_actions: int | None = Field(default=None, description="actions left out in the old backend's rhythm")
+    period_s: float | None = Field(default=None, description="time between the old one's outputs")
+    missed: int | None = Field(default=None, description="outputs left out in the old one's rhythm")
     difference: float | None = Field(
-        default=None, description="how far the new actions lay from the old ones in shadow [m or rad]"
+        default=None, description="how far the new actions, or commands, lay from the old ones in shadow [m or rad]"
     )
     took_s: float = Field(description="the whole call, loading included")
 

@@ -6,7 +6,7 @@ Nothing is spawned, and nothing heavy imported: names, plans, options, paths and
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,11 @@ class Selection:
         config: the effective configuration.
         names: what was chosen, for messages and the status.
         python: interpreter of the module's own environment.
-        cameras: camera name by role that a backend will use.
     """
 
     config: Config
     names: Mapping[str, str]
     python: str | None
-    cameras: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -170,7 +168,7 @@ def select_inference(config: Config, registry: Registry, request: InferenceReque
         "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
     }
     chosen = {key: name for key, name in names.items() if name}
-    return Selection(config=config, names=chosen, python=section.python, cameras=plan.cameras)
+    return Selection(config=config, names=chosen, python=section.python)
 
 
 def check_instruction(text: str) -> str:

@@ -1,23 +1,22 @@
-"""Replacing the running backend between two actions: the new one works in shadow until its moment comes.
+"""Replacing a running module between two of its outputs: the new one works in shadow until its moment comes.
 
-The moment is a point in the images' time (see `roboneuron.modules.turn`): it lies so far ahead that both processes know
-of it before, so neither acts on the other's images. Until then nothing changes; if the new one does not act in time
-afterwards, the old one does again.
+The moment is a point in the time of what both work on (see `roboneuron.modules.turn`): it lies so far ahead that both
+processes know of it before, so neither acts on what is the other's. Until then nothing changes; if the new one does not
+act in time afterwards, the old one does again.
 """
 
 from __future__ import annotations
 
 import logging
-import statistics
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
-from roboneuron.server.stream import ActionStream, Gap
+from roboneuron.server.stream import Gap
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.slot import Slot
@@ -25,18 +24,17 @@ from roboneuron.supervisor.supervisor import Stage, Supervisor
 
 if TYPE_CHECKING:
     from roboneuron.server.selection import Selection
+    from roboneuron.server.trials import Trial
 
 log = logging.getLogger(__name__)
-_LOOKS = 3
-"""So many reports with a new shadow action are compared, one each 0.2 s."""
-_SHADOW_S = 5.0
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 """Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
 now (2 to 50 ms, hundreds on an overloaded machine)."""
 _LATEST_S = 0.05
-_FIRST_ACTION_S = 1.0
+_FIRST_S = 1.0
 _FIND_S = 5.0
-_ARRIVAL_S = 0.5
+LISTENERS = "listeners."
+ARRIVAL_S = 0.5
 """A status may arrive before the action that it tells of."""
 
 
@@ -45,7 +43,7 @@ class Change:
     """How a change-over went.
 
     Attributes:
-        gap: None when no action was sent before or after it.
+        gap: None when nothing was sent before or after it.
         difference: largest difference between what the two wanted [m or rad]; None when the old one did not act.
     """
 
@@ -56,78 +54,80 @@ class Change:
 class WarmSwitch:
     """One change-over; used once, on the thread of the caller."""
 
-    def __init__(self, supervisor: Supervisor, selection: Selection, stream: ActionStream, on_stage: Stage) -> None:
+    def __init__(self, supervisor: Supervisor, selection: Selection, trial: Trial, on_stage: Stage) -> None:
         self._supervisor = supervisor
-        self._stream = stream
         self._selection = selection
+        self._trial = trial
+        self._kind = trial.kind
         self._on_stage = on_stage
-        section = selection.config.inference
-        assert section is not None
-        self._bound = section.switch_max_difference
-        self._has_instruction = bool(section.instruction)
 
     def run(self) -> Change:
-        """Start the new backend in shadow, compare, change over, end the old one.
+        """Start the new one in shadow, compare, change over, end the old one.
 
         Raises:
-            RoboNeuronError: the reason why nothing was replaced; the old backend acts as before.
+            RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
         selection, supervisor = self._selection, self._supervisor
         standby = supervisor.start_standby(
-            "inference",
+            self._kind,
             selection.config,
             python=selection.python,
             names=selection.names,
             on_stage=lambda text: self._on_stage(f"new {text}"),
         )
         try:
-            difference = self._compare(standby) if self._has_instruction else None
+            self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
+            difference = self._trial.compare(lambda: self._healthy(standby))
+            self._await_listeners(standby)
             old = self._hand_over(standby)
         except BaseException:
             supervisor.discard(standby)
             raise
-        self._on_stage("inference: ending the old backend")
+        gap = self._measure(old, standby)
+        self._on_stage(f"{self._kind}: ending the old {self._trial.noun}")
         supervisor.discard(old)
-        return Change(gap=measure_gap(supervisor, self._stream, supervisor.report_of(standby)), difference=difference)
+        return Change(gap=gap, difference=difference)
 
-    def _compare(self, standby: Slot) -> float | None:
-        """How far the shadow's actions lie from those on the topic; raises when beyond the bound."""
-        self._on_stage("new inference: comparing its actions in shadow")
-        started_ns = time.time_ns()
-        seen: dict[str, tuple[float, ...]] = {}
+    def _await_listeners(self, standby: Slot) -> None:
+        """Whoever hears the old one has to have found the new one too: what is sent to nobody is lost."""
 
-        def enough() -> bool:
-            report = self._healthy(standby)
-            if "shadow_action" in report.metrics:
-                values = tuple(float(value) for value in report.metrics["shadow_action"].split(","))
-                seen[report.metrics["shadow_count"]] = values
-            return len(seen) >= _LOOKS
+        def lacking() -> dict[str, str]:
+            old = self._supervisor.report_of(self._supervisor.slot(self._kind))
+            needed, found = _listeners(old), _listeners(self._healthy(standby))
+            return {
+                topic: f"{found[topic]} of {count} on {topic}"
+                for topic, count in needed.items()
+                if found.get(topic, count) < count
+            }
 
-        if not self._supervisor.changes.wait_for(enough, _SHADOW_S) and not seen:
+        if not self._supervisor.changes.wait_for(lambda: not lacking(), _FIND_S):
             raise NotReadyError(
-                f"The new backend predicted nothing within {_SHADOW_S:g} s in shadow; nothing was replaced.",
-                hint="Do images come? See get_status.",
+                f"The new {self._trial.noun} was found by too few listeners within {_FIND_S:g} s: "
+                f"{', '.join(lacking().values())}. Nothing was replaced.",
+                hint="Try again when the machine is less busy.",
             )
-        difference = _difference(list(seen.values()), self._stream.since(started_ns))
-        if difference is not None and difference > self._bound:
-            raise RefusedError(
-                f"In shadow the new backend's actions differ by {difference:.3g} m or rad from those of the running "
-                f"one, at most {self._bound:g} is allowed; nothing was replaced.",
-                hint="Check that both were made for this robot, or raise switch_max_difference in [inference].",
-            )
-        return difference
+
+    def _measure(self, old: Slot, new: Slot) -> Gap | None:
+        """From what both tell afterwards; None when there was no output before or after."""
+        supervisor, now_s = self._supervisor, time.monotonic()
+
+        def gap() -> Gap | None:
+            last = supervisor.report_of(old)
+            is_last = last is None or last.received_s > now_s
+            return self._trial.measure(last, supervisor.report_of(new)) if is_last else None
+
+        return supervisor.changes.wait_for(gap, ARRIVAL_S)
 
     def _hand_over(self, standby: Slot) -> Slot:
-        """Agree on the moment, wait for the first action after it, and make the new one the inference module."""
-        old = self._supervisor.slot("inference")
+        """Agree on the moment, wait for the first output after it, and make the new one the module of its kind."""
+        old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
         margin_s = self._probe(clients)
-        report = self._healthy(standby)
-        latency_s = (report.latency_p99_ms or report.latency_ms or 0.0) / 1e3
+        latency_s = self._trial.latency_s(self._healthy(standby))
         moment_ns = time.time_ns() + int(margin_s * 1e9)
-        self._on_stage("inference: changing over")
+        self._on_stage(f"{self._kind}: changing over")
         try:
-            # Until the old one's chunk would end, or the new one's first action is due: no hole between the two.
+            # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
             calls = [clients[1].send({ACT_FROM: moment_ns}), clients[0].send(leave)]
             for client, call in zip(reversed(clients), calls, strict=True):
@@ -139,8 +139,8 @@ class WarmSwitch:
                     raise
                 if refused:
                     raise StateError(f"A change-over was refused: {refused}.")
-            if self._has_instruction:
-                self._await_first_action(standby, moment_ns, latency_s)
+            if self._trial.is_due():
+                self._await_turn(standby, moment_ns, latency_s)
             return self._supervisor.adopt(standby)
         except BaseException as error:
             self._roll_back(clients, error)
@@ -155,15 +155,11 @@ class WarmSwitch:
                 raise StateError(f"A change-over was refused: {refused}.")
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
-    def _await_first_action(self, standby: Slot, moment_ns: int, latency_s: float) -> None:
-        bound_s = (moment_ns - time.time_ns()) / 1e9 + _FIRST_ACTION_S + 3 * latency_s
-
-        def acts() -> bool:
-            return "first_action_ns" in self._healthy(standby).metrics
-
-        if not self._supervisor.changes.wait_for(acts, bound_s):
+    def _await_turn(self, standby: Slot, moment_ns: int, latency_s: float) -> None:
+        bound_s = (moment_ns - time.time_ns()) / 1e9 + _FIRST_S + 3 * latency_s
+        if not self._supervisor.changes.wait_for(lambda: self._trial.has_taken_over(self._healthy(standby)), bound_s):
             raise NotReadyError(
-                "The new backend did not act when its turn came; the old one acts again.",
+                f"The new {self._trial.noun} did not act when its turn came; the old one acts again.",
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
@@ -178,21 +174,21 @@ class WarmSwitch:
         except RoboNeuronError as error:
             refused = error.message
         if refused:
-            log.error("The old backend could not be told to go on: %s", refused)
+            log.error("The old %s could not be told to go on: %s", self._trial.noun, refused)
             if isinstance(cause, RoboNeuronError):
-                cause.hint = f"{cause.hint} The old backend could not be told to go on either: {refused}".strip()
+                cause.hint = f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
 
     def _healthy(self, slot: Slot) -> Report:
         """The newest report of a process that works; raises what it says is wrong."""
         slot.check_alive("working in shadow")
         report = self._supervisor.report_of(slot)
         if report is None:
-            raise NotReadyError("The new backend has fallen silent; nothing was replaced.")
+            raise NotReadyError(f"The new {self._trial.noun} has fallen silent; nothing was replaced.")
         failure = report.failure()
         if failure is not None:
             raise failure
-        if self._supervisor.slot("inference").phase != "running":
-            raise StateError("The running backend has ended meanwhile; nothing was replaced.")
+        if self._supervisor.slot(self._kind).phase != "running":
+            raise StateError(f"The running {self._trial.noun} has ended meanwhile; nothing was replaced.")
         return report
 
     def _client(self, slot: Slot) -> ParameterClient:
@@ -201,17 +197,7 @@ class WarmSwitch:
         return ParameterClient(self._supervisor.link, self._supervisor.changes, node)
 
 
-def measure_gap(supervisor: Supervisor, stream: ActionStream, report: Report | None) -> Gap | None:
-    """The gap before the first action that `report` tells of; None when there was no action before or after it."""
-    first_ns = int(report.metrics.get("first_action_ns", "0")) if report is not None else 0
-    return supervisor.changes.wait_for(lambda: stream.gap(first_ns), _ARRIVAL_S) if first_ns else None
-
-
-def _difference(shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]) -> float | None:
-    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper may differ."""
-    if not shadow or not acting:
-        return None
-    return max(
-        abs(statistics.median(a[axis] for a in shadow) - statistics.median(a[axis] for a in acting))
-        for axis in range(6)
-    )
+def _listeners(report: Report | None) -> dict[str, int]:
+    """Number of subscriptions that a module's outputs have found, by topic."""
+    metrics = {} if report is None else report.metrics
+    return {key.removeprefix(LISTENERS): int(value) for key, value in metrics.items() if key.startswith(LISTENERS)}

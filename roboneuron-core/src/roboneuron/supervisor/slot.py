@@ -64,7 +64,7 @@ class Slot:
                 raise StateError(
                     f"{self.kind} is already {self.phase} ({self.describe()}).",
                     hint=f"Call stop_{self.kind} first"
-                    + (", or switch_inference." if self.kind == "inference" else "."),
+                    + ("." if self.kind == "robot" else f", or switch_{self.kind}."),
                 )
             self.phase, self.choice, self.order = "starting", choice, order
             self.process, self.exit, self._cancelled = None, None, ""

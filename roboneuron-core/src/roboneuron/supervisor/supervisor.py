@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, StateError
+from roboneuron.modules.priority import lower
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.ros.environment import module_environment
 from roboneuron.supervisor.bringup import Bringup
@@ -319,6 +320,8 @@ class Supervisor:
                 f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
                 hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
             ) from error
+        if settings.shadow:
+            lower(process.pid)
         log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
         self._board.watch(settings.status_name, process.pid)
         process.reap(lambda ended: self._on_exit(slot, settings, ended))
@@ -342,7 +345,9 @@ class Supervisor:
         killed = end_processes([process for _, process in claimed], timeout_s)
         results = []
         for (slot, process), choice in zip(claimed, choices, strict=True):
+            report = None
             if choice is not None:
+                report = self._board.newest(choice.settings.status_name, process.pid)
                 self._board.forget(choice.settings.status_name, process.pid)
             slot.settle("stopped")
             log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
@@ -353,6 +358,7 @@ class Supervisor:
                     exit_code=process.exit_code if process.exit_code is not None else -9,
                     killed=process.pid in killed,
                     took_s=time.monotonic() - started_s,
+                    report=report,
                 )
             )
             self._on_change(slot.kind)

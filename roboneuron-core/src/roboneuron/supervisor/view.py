@@ -32,10 +32,17 @@ class ModuleView:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stopped:
-    """How a stop went: `killed` when SIGKILL was needed, `took_s` from the call to the process reaped."""
+    """How a stop went.
+
+    Attributes:
+        killed: SIGKILL was needed.
+        took_s: from the call to the process reaped.
+        report: the last one that came.
+    """
 
     kind: ModuleKind
     pid: int
     exit_code: int
     killed: bool
     took_s: float
+    report: Report | None = None

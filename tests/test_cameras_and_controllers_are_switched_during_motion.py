@@ -1,0 +1,174 @@
+"""A change of the camera's source or of the controller while the arm moves; what fails changes nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.loop import ClosedLoop
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from switch_loop import Sent, Witness, moving_loop, quiet
+
+sys.path.pop(0)
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+RATE_HZ = 20.0
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[tuple[ClosedLoop, Witness]]:
+    with moving_loop(tmp_path, RATE_HZ) as made:
+        yield made
+
+
+def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not fact():
+        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
+        time.sleep(0.01)
+
+
+def more_actions(witness: Witness, count: int = 5) -> list[Sent]:
+    before = len(witness.actions())
+    wait_until(lambda: len(witness.actions()) >= before + count, 5.0, f"{count} more actions")
+    return witness.actions()
+
+
+def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], switch: Callable[[], object]) -> str:
+    """Message of a switch that must fail and leave the present process at work."""
+    before = loop.supervisor.view(kind).process
+    with pytest.raises(error) as caught:
+        switch()
+    after = loop.supervisor.view(kind)
+    assert before is not None
+    assert after.process is before
+    assert after.phase == "running"
+    assert loop.supervisor.beside(kind) == []
+    return str(caught.value)
+
+
+def velocity_steps(commands: list[tuple[int, float, float]]) -> np.ndarray:
+    """Changes of the commanded velocity of the moving joint from one command to the next [m/s]."""
+    at, target = np.array([c[0] for c in commands]) / 1e9, np.array([c[1] for c in commands])
+    velocity = np.diff(target) / np.maximum(np.diff(at), 1e-3)
+    return np.abs(np.diff(velocity))
+
+
+def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[ClosedLoop, Witness]) -> None:
+    loop, witness = cell
+    with pytest.raises(StateError, match="no source to go back to"):
+        loop.roll_back_perception("warm", quiet)
+    more_actions(witness)
+    switched = loop.switch_perception("other", (), {}, "warm", quiet)
+    assert switched.view.choice is not None
+    assert switched.view.choice.names["source"] == "other"
+    assert switched.replaced["source"] == "numbering"
+    gap = switched.change.gap
+    assert gap is not None
+    print(f"gap {gap.gap_s * 1e3:.0f} ms, period {gap.period_s * 1e3:.0f} ms, call {switched.took_s:.1f} s")
+    assert gap.gap_s < 0.25
+    back = loop.roll_back_perception("warm", quiet)
+    assert back.view.choice is not None
+    assert back.view.choice.names["source"] == "numbering"
+    actions = more_actions(witness)
+    times = [action.at_ns / 1e9 for action in actions]
+    assert max(b - a for a, b in pairwise(times)) < 0.5, "the backend was without images"
+    cold = loop.switch_perception("other", (), {}, "cold", quiet)
+    assert cold.change.gap is not None
+    assert cold.change.gap.gap_s > gap.gap_s
+    more_actions(witness)
+
+
+def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
+    loop, witness = cell
+    mode = tmp_path / "mode"
+
+    def switch(on_stage: Callable[[str], None] = quiet, **options: object) -> Callable[[], object]:
+        return lambda: loop.switch_perception("other", (), options, "warm", on_stage)
+
+    text = refused(loop, "perception", RefusedError, switch(scale=2))
+    assert "'front'" in text
+    assert "pixels large" in text
+
+    def hang(stage: str) -> None:
+        if stage == "perception: changing over":
+            mode.write_text("hang")
+
+    assert "the old one acts again" in refused(loop, "perception", NotReadyError, switch(hang, mode_file=str(mode)))
+    mode.unlink()
+
+    def kill(stage: str) -> None:
+        if stage == "perception: changing over":
+            (new,) = [slot.process for slot in loop.supervisor.beside("perception")]
+            assert new is not None
+            os.kill(new.pid, signal.SIGKILL)
+
+    assert "signal 9" in refused(loop, "perception", NotReadyError, switch(kill))
+    with pytest.raises(InvalidInputError, match="needs the camera front"):
+        loop.switch_perception("other", ("hand",), {}, "warm", quiet)
+    more_actions(witness)
+
+
+def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[ClosedLoop, Witness]) -> None:
+    loop, witness = cell
+    more_actions(witness, 10)
+    first = len(witness.commands())
+    switched = loop.switch_control("faulty", {}, "warm", quiet)
+    assert switched.view.choice is not None
+    assert switched.view.choice.names["controller"] == "faulty"
+    gap = switched.change.gap
+    assert gap is not None
+    assert switched.change.difference is not None
+    print(f"gap {gap.gap_s * 1e3:.0f} ms, difference {switched.change.difference:.2g}, call {switched.took_s:.1f} s")
+    assert switched.change.difference < 0.005
+    assert gap.gap_s < 0.25
+    back = loop.roll_back_control("warm", quiet)
+    assert back.view.choice is not None
+    assert back.view.choice.names["controller"] == "gantry"
+    more_actions(witness)
+    commands = witness.commands()[first:]
+    assert max(b[0] - a[0] for a, b in pairwise(commands)) < 0.4e9, "the arm was without commands"
+    # The gantry accelerates by 4 m/s^2 at most, the sine by 0.002 m per action and 8 s: a jump would be far above.
+    print(f"largest change of the commanded velocity: {velocity_steps(commands).max():.3f} m/s")
+    report = loop.supervisor.view("control").report
+    assert report is not None
+    assert report.dropped_by.get("holds", 0) == 0
+    cold = loop.switch_control("faulty", {}, "cold", quiet)
+    assert cold.change.gap is not None
+    assert cold.change.gap.gap_s > gap.gap_s
+
+
+def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
+    loop, witness = cell
+    mode = tmp_path / "mode"
+
+    def switch(on_stage: Callable[[str], None] = quiet, **options: object) -> Callable[[], object]:
+        return lambda: loop.switch_control("faulty", options, "warm", on_stage)
+
+    assert "TCP poses differ by 0.1 " in refused(loop, "control", RefusedError, switch(tool_m=0.1))
+    assert "commands differ by 0.2 " in refused(loop, "control", RefusedError, switch(offset=0.2))
+    mode.write_text("hold")
+    text = refused(loop, "control", RefusedError, switch(mode_file=str(mode)))
+    assert "would hold where the running one moves the arm: doubt" in text
+    mode.unlink()
+
+    def hang(stage: str) -> None:
+        if stage == "control: changing over":
+            mode.write_text("hang")
+
+    text = refused(loop, "control", NotReadyError, switch(hang, mode_file=str(mode)))
+    assert "changed over" in text or "acts again" in text or "did not take its parameters" in text
+    more_actions(witness)
+    first = len(witness.commands())
+    wait_until(lambda: len(witness.commands()) >= first + 5, 5.0, "the arm is commanded")
