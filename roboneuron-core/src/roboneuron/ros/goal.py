@@ -16,7 +16,7 @@ from unique_identifier_msgs.msg import UUID
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
-_POLL_S = 0.02
+_POLL_S = 0.01
 _SETTLE_S = 0.1
 """After the first sight of a server: until it has matched our side too, its answer would be lost."""
 STATUS_WORDS = {
@@ -45,7 +45,7 @@ class Goal:
         return "" if self.outcome is None else STATUS_WORDS.get(self.outcome.status, "unknown")
 
     def wait(self, done: Callable[[], bool], timeout_s: float, check: Callable[[], None]) -> bool:
-        """Wait until `done`; `check` is called at least every 20 ms and may raise. False after `timeout_s`."""
+        """Wait until `done`; `check` is called at least every 10 ms and may raise. False after `timeout_s`."""
         deadline_s = time.monotonic() + timeout_s
         while not done():
             check()
