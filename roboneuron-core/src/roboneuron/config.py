@@ -87,6 +87,7 @@ class ControlConfig(_Section):
     restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move the arm")
     action_timeout_s: Seconds = Field(default=0.5, description="older actions are dropped; then the arm holds")
     state_timeout_s: Seconds = Field(default=0.25, description="older joint states stop the arm")
+    server_timeout_s: Seconds = Field(default=2.0, description="the arm holds when the server is frozen this long")
     command: Literal["joint_trajectory", "joint_state"] = Field(
         default="joint_trajectory", description="message type of the command topic"
     )

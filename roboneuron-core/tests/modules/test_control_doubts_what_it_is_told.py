@@ -148,6 +148,23 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(c
     assert cell.wait_until(lambda: len(cell.commands) == before + 1)
 
 
+def test_server_that_is_frozen_stops_the_arm_until_it_lives_again(cell: Cell) -> None:
+    """Without a server nobody beats, and nothing is asked for."""
+    limits = cell.control.module._limits
+    cell.control.module._limits = limits.model_copy(update={"server_timeout_s": 0.3})
+    policy = cell.world.node.create_timer(0.03, cell.act)
+    assert cell.wait_until(lambda: len(cell.commands) > 20)
+    for _ in range(2):
+        cell.control.note_beat()
+        before, dropped = len(cell.commands), cell.count("dropped.server_silent")
+        assert cell.wait_until(lambda before=before: len(cell.commands) > before + 3)
+        assert cell.wait_until(lambda dropped=dropped: cell.count("dropped.server_silent") > dropped + 5)
+        assert cell.value("hold_code") == "server_silent"
+        count = len(cell.commands)
+        assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2)
+    policy.cancel()
+
+
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Return a function that sets control's wall clock by so many seconds against that of the publishers."""

@@ -59,7 +59,7 @@ def _run(settings: ModuleSettings) -> None:
     node = ModuleNode(settings, build)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch_stdin(stop.set)
+    watch_stdin(stop.set, node.note_beat)
     try:
         while not stop.is_set():  # wakes with every turn of the node's loop timer
             if pressed.is_set():

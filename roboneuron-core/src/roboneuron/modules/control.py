@@ -200,6 +200,8 @@ class ControlModule(Module):
         """Word for what forbids acting now, or None."""
         if self.node.stopped:
             return "emergency_stop"
+        if self._is_server_silent():
+            return "server_silent"
         if age_s > self._limits.action_timeout_s:
             return "stale_action"
         if age_s < -_FUTURE_S:
@@ -209,6 +211,10 @@ class ControlModule(Module):
         if self._are_joints_stale():
             return "stale_joint_state"
         return None
+
+    def _is_server_silent(self) -> bool:
+        """Nobody could stop the arm from outside: the server is frozen."""
+        return self.node.server_silence_s() > self._limits.server_timeout_s
 
     def _are_joints_stale(self) -> bool:
         return self._watched is None or self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
@@ -251,7 +257,9 @@ class ControlModule(Module):
         """Hold within one timeout after the last action."""
         if not self._active or self._holding or not self._is_our_turn():
             return
-        if time.monotonic() - self._action_s > self._limits.action_timeout_s * 0.75:
+        if self._is_server_silent():
+            self._hold("server_silent", f"No sign of life of the server for {self._limits.server_timeout_s:g} s.")
+        elif time.monotonic() - self._action_s > self._limits.action_timeout_s * 0.75:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
         elif self._are_joints_stale():
             self._hold("stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s.")

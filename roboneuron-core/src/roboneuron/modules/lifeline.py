@@ -20,6 +20,10 @@ GRACE_S = 1.5
 """Time between the parent's end and a hard exit."""
 
 
+def _unheard() -> None:
+    """Nobody asks whether the server lives."""
+
+
 def follow_parent(expected_parent: int) -> None:
     """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone."""
     libc = ctypes.CDLL(None, use_errno=True)
@@ -29,12 +33,17 @@ def follow_parent(expected_parent: int) -> None:
         sys.exit("The parent process is gone.")
 
 
-def watch_stdin(on_end: Callable[[], None], grace_s: float = GRACE_S) -> threading.Thread:
-    """Call `on_end` when stdin ends, then leave the process the hard way after `grace_s` if it still runs."""
+def watch_stdin(
+    on_end: Callable[[], None], on_beat: Callable[[], None] = _unheard, grace_s: float = GRACE_S
+) -> threading.Thread:
+    """Call `on_beat` when something comes on stdin: the server lives.
+
+    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs.
+    """
 
     def watch() -> None:
         while os.read(0, 4096):
-            pass
+            on_beat()
         on_end()
         threading.Event().wait(grace_s)
         os._exit(3)

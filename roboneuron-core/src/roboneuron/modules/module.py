@@ -72,6 +72,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._told_to_stop = False
         self._outputs: dict[str, LifecyclePublisher] = {}
         self._listeners: dict[str, int] = {}
+        self._beat_s: float | None = None
         self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._reporter = StatusReporter(self, self.status)
@@ -121,6 +122,15 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         return self._attempt(self._shut_down, "finalized", otherwise="finalized")
+
+    def note_beat(self) -> None:
+        """The server has shown that it lives; called from the thread that reads stdin."""
+        self._beat_s = time.monotonic()
+
+    def server_silence_s(self) -> float:
+        """Time since the server last showed that it lives; 0 for a module that was started without one."""
+        beat_s = self._beat_s
+        return 0.0 if beat_s is None else time.monotonic() - beat_s
 
     def report_unexpected(self, error: Exception) -> None:
         """A callback raised what nobody expected: log it and say so; the module goes on."""

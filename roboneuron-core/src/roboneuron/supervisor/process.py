@@ -54,6 +54,12 @@ class ModuleProcess:
         self._segments |= owned_segments(self.pid)
         return self._segments
 
+    def beat(self) -> None:
+        """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
+        with self._reaping, suppress(OSError):
+            if self._child.returncode is None and self._child.stdin is not None:
+                os.write(self._child.stdin.fileno(), b"\n")
+
     def terminate(self) -> None:
         """SIGTERM to the process: hold, release, leave."""
         with self._reaping:
@@ -143,4 +149,5 @@ class Spawner:
         with suppress(BrokenPipeError):
             child.stdin.write(first_line.encode() + b"\n")
             child.stdin.flush()
+        os.set_blocking(child.stdin.fileno(), False)
         return process

@@ -20,6 +20,7 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
 from roboneuron.supervisor.ending import KILL_S, deactivate, end_processes
 from roboneuron.supervisor.health import Report, StatusBoard
+from roboneuron.supervisor.heartbeat import Heartbeat
 from roboneuron.supervisor.logs import run_directory
 from roboneuron.supervisor.process import ModuleProcess, Spawner
 from roboneuron.supervisor.slot import Choice, Phase, Slot
@@ -65,6 +66,7 @@ class Supervisor:
         self._board = StatusBoard(self.changes)
         self._connection = Connection(self._board.receive, self.log_directory)
         self._spawner = Spawner()
+        self._heartbeat = Heartbeat(self._processes)
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
         self._beside: list[Slot] = []
         self._order = count(1)
@@ -264,12 +266,18 @@ class Supervisor:
             self._closed = True
         self.stop_all()
         self._connection.close()
+        self._heartbeat.close()
         self._spawner.close()
 
     def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
         return ModuleSettings(
             kind=kind, node_name=name, config=config, state_directory=str(self.state_directory), shadow=shadow
         )
+
+    def _processes(self) -> list[ModuleProcess]:
+        with self.changes.lock:
+            slots = [*self._slots.values(), *self._beside]
+        return [slot.process for slot in slots if slot.process is not None]
 
     def _check_open(self) -> None:
         if self._closed:
@@ -322,6 +330,7 @@ class Supervisor:
             ) from error
         if settings.shadow:
             lower(process.pid)
+        self._heartbeat.start()
         log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
         self._board.watch(settings.status_name, process.pid)
         process.reap(lambda ended: self._on_exit(slot, settings, ended))
