@@ -1,0 +1,106 @@
+"""Opening a device or a video file with OpenCV."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Protocol
+
+from rn_perception_camera.options import VideoCameraOptions
+from roboneuron.errors import ConfigurationError, NotReadyError
+
+HANG_LIMIT_S = 1
+"""How long OpenCV waits for an image of a V4L2 device that stays silent."""
+
+
+class Capture(Protocol):
+    """What is used of `cv2.VideoCapture`."""
+
+    def isOpened(self) -> bool:
+        """Whether it could be opened."""
+        ...
+
+    def set(self, propId: int, value: float) -> bool:
+        """Ask for a property's value; the answer says little, `get` tells what came of it."""
+        ...
+
+    def grab(self) -> bool:
+        """Wait for the next image; False when there is none."""
+        ...
+
+    def retrieve(self) -> tuple[bool, Any]:
+        """Decode the grabbed image: uint8 (H, W, 3) in BGR order, in memory of its own."""
+        ...
+
+    def get(self, propId: int) -> float:
+        """A property's value."""
+        ...
+
+    def release(self) -> None:
+        """Close."""
+        ...
+
+
+def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
+    """An open device or file, and the pace of its images [1/s], 0 for a device, which has its own.
+
+    Raises:
+        NotReadyError: the device is absent, busy, or may not be opened.
+        ConfigurationError: the file is absent or no video, its pace is not known, or the device has no such size.
+    """
+    os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(HANG_LIMIT_S))
+    import cv2  # heavy
+
+    if options.path is not None:
+        return _open_file(cv2, options.path, options.fps)
+    return _open_device(cv2, options), 0.0
+
+
+def _open_file(cv2: Any, path: str, fps: float | None) -> tuple[Capture, float]:
+    if not Path(path).is_file():
+        raise ConfigurationError(f"There is no video file {path!r}.", hint="Correct the option path.")
+    capture = cv2.VideoCapture(path)
+    if not capture.isOpened():
+        capture.release()
+        raise ConfigurationError(f"The file {path!r} is no video that OpenCV can read.")
+    pace_hz = fps or float(capture.get(cv2.CAP_PROP_FPS))
+    if not 0.0 < pace_hz <= 1000.0:
+        capture.release()
+        raise ConfigurationError(f"The video {path!r} does not tell its pace.", hint="Set the option fps.")
+    return capture, pace_hz
+
+
+def _open_device(cv2: Any, options: VideoCameraOptions) -> Capture:
+    capture: Capture = cv2.VideoCapture(options.device, cv2.CAP_V4L2)
+    if not capture.isOpened():
+        capture.release()
+        raise _explain_absence(options.place)
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # older images are of no use
+    if options.fourcc is not None:
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*options.fourcc))
+    if options.size is not None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, options.size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, options.size[1])
+    if options.fps is not None:
+        capture.set(cv2.CAP_PROP_FPS, options.fps)
+    size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+    if options.size is not None and size != options.size:
+        capture.release()
+        raise ConfigurationError(
+            f"Camera {options.place} was asked for {options.size[0]}x{options.size[1]} and gives {size[0]}x{size[1]}.",
+            hint="Ask for a size that `v4l2-ctl --list-formats-ext` shows, and use resize for others.",
+        )
+    return capture
+
+
+def _explain_absence(place: str) -> NotReadyError:
+    present = ", ".join(sorted(str(path) for path in Path("/dev").glob("video[0-9]*"))) or "none"
+    if not Path(place).exists():
+        return NotReadyError(
+            f"There is no camera {place}; V4L2 devices present: {present}.",
+            hint="Plug it in, or correct the option device.",
+        )
+    return NotReadyError(
+        f"Camera {place} cannot be opened.",
+        hint="End the program that uses it, or let the user who runs this read it (group 'video').",
+    )

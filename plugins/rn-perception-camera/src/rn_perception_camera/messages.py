@@ -1,0 +1,56 @@
+"""Image messages of camera drivers as RGB pixels, and what is wrong with them."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+
+from roboneuron.contract.image import MAX_SIDE_PX, frame_from_buffer
+from roboneuron.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CompressedImage, Image
+
+U8 = NDArray[np.uint8]
+
+_MODES = ("L", "RGB", "RGBA")
+"""Pillow's names of 8-bit grey and colour pixels."""
+
+
+def to_rgb(message: Image) -> U8:
+    """sensor_msgs/Image -> uint8 (H, W, 3) RGB; `rgb8` without row padding shares the message's memory.
+
+    Raises:
+        InvalidInputError: an encoding that is not 8-bit grey or colour, or a damaged size.
+    """
+    return frame_from_buffer(
+        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+    )
+
+
+def decompress(message: CompressedImage) -> U8:
+    """sensor_msgs/CompressedImage (JPEG or PNG) -> uint8 (H, W, 3) RGB.
+
+    Raises:
+        InvalidInputError: another format, depth data, more than 8 bits, or a damaged or huge image.
+    """
+    if "compressedDepth" in message.format:
+        raise InvalidInputError(f"Its format is {message.format!r}, which is depth and no picture.")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Pillow.DecompressionBombWarning)
+            picture = Pillow.open(io.BytesIO(bytes(message.data)), formats=("JPEG", "PNG"))
+        if max(picture.size) > MAX_SIDE_PX:
+            raise InvalidInputError(f"Its size is {picture.width}x{picture.height}, at most {MAX_SIDE_PX} is taken.")
+        if picture.mode not in _MODES:
+            raise InvalidInputError(f"Its pixels are {picture.mode!r}, expected one of {', '.join(_MODES)}.")
+        return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError, Pillow.DecompressionBombWarning) as error:
+        raise InvalidInputError(
+            f"{len(message.data)} bytes of format {message.format!r} are no whole JPEG or PNG image: {error}."
+        ) from error

@@ -1,0 +1,32 @@
+"""What this package offers: the perception sources "ros-camera" and "video-camera"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.specs import PerceptionSpec, Requirement
+
+_VIDEO = 'pip install "rn-perception-camera[video]"'
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """Cameras of any robot."""
+    return [
+        PerceptionSpec(
+            name="ros-camera",
+            summary="Images that camera drivers publish on ROS topics, raw or compressed, with their camera_info",
+            target="rn_perception_camera.ros_source:RosCameras",
+            config="rn_perception_camera.options:RosCamerasOptions",
+            case="rn_perception_camera.contract_cases:ros_case",
+        ),
+        PerceptionSpec(
+            name="video-camera",
+            summary="USB (V4L2) cameras and video files, through OpenCV",
+            target="rn_perception_camera.video_source:VideoCameras",
+            config="rn_perception_camera.options:VideoCamerasOptions",
+            case="rn_perception_camera.contract_cases:video_case",
+            requires=(Requirement(module="cv2", install=_VIDEO),),
+        ),
+    ]

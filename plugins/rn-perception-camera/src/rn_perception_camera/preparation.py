@@ -1,0 +1,68 @@
+"""What is done to every image of one camera: undistorted, cropped, resized, and calibrated accordingly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_perception_camera.fit import Fit, Size, fit, unchanged
+from rn_perception_camera.lens import Undistortion
+from rn_perception_camera.options import ResizeOptions
+from roboneuron.contract import CameraCalibration, CameraProfile
+
+U8 = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+
+HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+"""Added to intrinsics of OpenCV and ROS: they put pixel centres at integers, the contract at integers + 0.5."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Preparation:
+    """For images of one size.
+
+    Attributes:
+        fit: how they are cropped and resized.
+        undistortion: how they are undistorted before; None when they are not.
+        calibration: of the images made; None when nobody knows it.
+    """
+
+    fit: Fit
+    undistortion: Undistortion | None
+    calibration: CameraCalibration | None
+
+    def apply(self, image: U8) -> U8:
+        """uint8 (h, w, 3) RGB as captured -> uint8 (H, W, 3) RGB as wanted; the same array when nothing is to do."""
+        if self.undistortion is not None:
+            image = self.undistortion.apply(image)
+        return self.fit.apply(image)
+
+
+def prepare(
+    profile: CameraProfile,
+    size: Size,
+    resize: ResizeOptions | None,
+    *,
+    intrinsics: F64 | None = None,
+    undistortion: Undistortion | None = None,
+) -> Preparation:
+    """The preparation of images of `size`.
+
+    Args:
+        profile: tells where the camera is mounted and, when `intrinsics` is None, its calibration at this size.
+        size: width and height of the images that come [px].
+        resize: None to leave it.
+        intrinsics: float64 (3, 3) [px] of the images that come (once undistorted), pixel centres at integers + 0.5.
+        undistortion: None for images that need none.
+    """
+    chosen = unchanged(size) if resize is None else fit(size, (resize.width, resize.height), resize.fit)
+    calibration = profile.calibration
+    if calibration is not None and intrinsics is not None:
+        calibration = replace(calibration, intrinsics=intrinsics)
+    elif intrinsics is None:
+        calibration = profile.calibration_at(*size)
+    if calibration is not None:
+        calibration = replace(calibration, intrinsics=chosen.to_intrinsics(calibration.intrinsics))
+    return Preparation(fit=chosen, undistortion=undistortion, calibration=calibration)

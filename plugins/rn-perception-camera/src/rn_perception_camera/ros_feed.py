@@ -1,0 +1,198 @@
+"""One camera's topics: what arrives on them, how it becomes frames, and why nothing comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_perception_camera.camera_info import CameraFacts, read_optics
+from rn_perception_camera.fit import Size
+from rn_perception_camera.messages import decompress, to_rgb
+from rn_perception_camera.options import RosCameraOptions
+from rn_perception_camera.preparation import Preparation, prepare
+from roboneuron.contract import CameraProfile, Frame, Topics
+from roboneuron.errors import ConfigurationError, InvalidInputError
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+U8 = NDArray[np.uint8]
+
+RAW = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+INFO = "sensor_msgs/msg/CameraInfo"
+CLOCK_LIMIT_S = 10.0
+"""A stamp farther from ROS time than this is another clock's."""
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Arrival:
+    """A message and the ROS time [ns] at which it came."""
+
+    message: Image | CompressedImage
+    arrived_ns: int
+
+
+class CameraFeed:
+    """Subscribes to one camera's topics; messages are received on the host's thread and converted on the reading one.
+
+    Args:
+        deliver: takes each image that can be converted.
+    """
+
+    def __init__(
+        self, profile: CameraProfile, options: RosCameraOptions, topics: Topics, deliver: Callable[[Arrival], None]
+    ) -> None:
+        self._profile = profile
+        self._options = options
+        self._topics = topics
+        self._deliver = deliver
+        self._facts: CameraFacts | None = None
+        self._waits_for_info = False
+        self._went_back = False
+        self._newest_ns = 0
+        self._prepared: tuple[Size, CameraFacts | None] | None = None
+        self._preparation: Preparation | None = None
+
+    def check(self) -> None:
+        """Raises ConfigurationError when a topic is published with another type, or no mount is known."""
+        options = self._options
+        if options.camera_info is not None and self._profile.calibration is None and options.distortion != "undistort":
+            raise ConfigurationError(
+                f"Camera {self._profile.name!r} is to be calibrated by {options.camera_info!r}, but the robot's profile"
+                " does not tell where it is mounted.",
+                hint="Leave camera_info out, or use a robot whose profile has this camera's mount.",
+            )
+        self._check_type(options.topic, RAW if options.transport == "raw" else COMPRESSED)
+        if options.camera_info is not None:
+            self._check_type(options.camera_info, INFO)
+
+    def subscribe(self) -> None:
+        """Listen until the host closes; called once, from `open`."""
+        from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # heavy
+
+        kind = Image if self._options.transport == "raw" else CompressedImage
+        if self._options.camera_info is not None:
+            self._topics.subscribe(self._options.camera_info, CameraInfo, self._take_info, best_effort=True)
+        self._topics.subscribe(self._options.topic, kind, self._take, best_effort=True)
+
+    def to_frame(self, arrival: Arrival) -> Frame | None:
+        """The frame of an image; None for one that was not captured after the frame before it.
+
+        Raises:
+            InvalidInputError: a damaged image, an unknown encoding, or a stamp that is unset or of another clock.
+            ConfigurationError: its camera_info cannot be used for it.
+        """
+        message = arrival.message
+        stamp_ns = self._stamp_ns(arrival)
+        if self._newest_ns > arrival.arrived_ns + CLOCK_LIMIT_S * _NS_PER_S:
+            self._newest_ns = 0  # the clock was set back
+        self._went_back = stamp_ns <= self._newest_ns
+        if self._went_back:
+            return None
+        image = self._convert(message)
+        preparation = self._prepare((image.shape[1], image.shape[0]))
+        prepared = preparation.apply(image)
+        self._newest_ns = stamp_ns
+        driver_frame_id = str(message.header.frame_id) if self._options.frame_id == "driver" else ""
+        return Frame(
+            camera=self._profile.name,
+            image=prepared,
+            stamp_ns=stamp_ns,
+            frame_id=driver_frame_id or self._profile.frame_id,
+            calibration=preparation.calibration,
+        )
+
+    def explain_silence(self, held: bool) -> str:
+        """Why no frame comes, in one sentence; `held` says that one waits for its turn.
+
+        Raises:
+            ConfigurationError: a topic is published with another type.
+        """
+        self.check()
+        options, name = self._options, self._profile.name
+        if held:
+            return f"The next image of camera {name!r} is not due yet (max_rate_hz = {options.max_rate_hz})."
+        if not self._topics.publisher_types(options.topic):
+            return f"Nobody publishes images of camera {name!r} on topic {options.topic!r}."
+        if self._waits_for_info and options.camera_info is not None:
+            absent = not self._topics.publisher_types(options.camera_info)
+            why = "which nobody publishes" if absent else "on which nothing came"
+            return f"Images of camera {name!r} wait for their calibration on topic {options.camera_info!r}, {why}."
+        if self._went_back:
+            return f"Images of camera {name!r} on topic {options.topic!r} are stamped no later than the one before."
+        return f"Topic {options.topic!r} of camera {name!r} has a publisher, but nothing new came."
+
+    def _take(self, message: Image | CompressedImage) -> None:
+        self._waits_for_info = self._options.camera_info is not None and self._facts is None
+        if not self._waits_for_info:
+            self._deliver(Arrival(message=message, arrived_ns=self._topics.now_ns()))
+
+    def _take_info(self, message: CameraInfo) -> None:
+        self._facts = CameraFacts.from_message(message)
+
+    def _check_type(self, topic: str, expected: str) -> None:
+        types = self._topics.publisher_types(topic)
+        if not types or expected in types:
+            return
+        hint = f"Name a topic that carries {expected}."
+        other = {RAW: "raw", COMPRESSED: "compressed"}.get(types[0])
+        if other is not None and expected != INFO:
+            hint = f'Set transport = "{other}".'
+        raise ConfigurationError(
+            f"Topic {topic!r} of camera {self._profile.name!r} carries {types[0]}, expected {expected}.", hint=hint
+        )
+
+    def _stamp_ns(self, arrival: Arrival) -> int:
+        if self._options.stamp == "arrival":
+            return arrival.arrived_ns
+        stamp = arrival.message.header.stamp
+        stamp_ns = int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        ahead_s = (stamp_ns - arrival.arrived_ns) / _NS_PER_S
+        what = ""
+        if stamp_ns <= 0:
+            what = "carries no capture time in header.stamp"
+        elif abs(ahead_s) > CLOCK_LIMIT_S:
+            what = f"is stamped {abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'} ROS time when it arrives"
+        if what:
+            raise InvalidInputError(
+                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} {what}.",
+                hint='Let the driver stamp with the time of capture, or set stamp = "arrival".',
+            )
+        return stamp_ns
+
+    def _convert(self, message: Image | CompressedImage) -> U8:
+        try:
+            return to_rgb(message) if self._options.transport == "raw" else decompress(message)
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} cannot be used."
+                f" {error.message}",
+                hint="Let the driver publish 8-bit grey or colour images.",
+            ) from error
+
+    def _prepare(self, size: Size) -> Preparation:
+        facts = self._facts
+        if self._preparation is not None and self._prepared == (size, facts):
+            return self._preparation
+        if facts is None:
+            preparation = prepare(self._profile, size, self._options.resize)
+        else:
+            try:
+                intrinsics, undistortion = read_optics(facts, size, self._options.distortion)
+            except ConfigurationError as error:
+                raise ConfigurationError(
+                    f"The calibration of camera {self._profile.name!r} on topic {self._options.camera_info!r} cannot be"
+                    f" used. {error.message}",
+                    hint=error.hint,
+                ) from error
+            preparation = prepare(
+                self._profile, size, self._options.resize, intrinsics=intrinsics, undistortion=undistortion
+            )
+        self._preparation, self._prepared = preparation, (size, facts)
+        return preparation

@@ -1,0 +1,25 @@
+"""Which of the cameras asked for have options, and what to say when one has none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+from roboneuron.contract import CameraProfile
+from roboneuron.errors import ConfigurationError
+
+O = TypeVar("O")  # noqa: E741
+
+
+def check_cameras(source: str, cameras: Sequence[CameraProfile], options: Mapping[str, O]) -> None:
+    """Raises ConfigurationError when there is no camera to serve, or one without options."""
+    missing = [camera.name for camera in cameras if camera.name not in options]
+    if not cameras:
+        raise ConfigurationError(f"The source {source!r} was given no camera to serve.")
+    if missing:
+        given = ", ".join(map(repr, options)) or "none"
+        raise ConfigurationError(
+            f"The robot's camera {missing[0]!r} has no table [plugins.{source}.cameras.{missing[0]}];"
+            f" there are tables for: {given}.",
+            hint="Add it, or name the cameras to serve in [perception] cameras.",
+        )

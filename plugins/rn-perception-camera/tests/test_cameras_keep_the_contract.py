@@ -1,0 +1,44 @@
+"""The contract kit, run against both sources; and what is said where OpenCV is missing."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from rn_perception_camera.contract_cases import ros_case, video_case
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.record import Status
+from roboneuron.testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
+
+
+class TestRosCamera(PerceptionContract):
+    """`ros-camera`, fed by the kit."""
+
+    @pytest.fixture
+    def plugin(self) -> PerceptionCase:
+        return ros_case()
+
+
+class TestVideoCamera(PerceptionContract):
+    """`video-camera`, with a short film."""
+
+    @pytest.fixture
+    def plugin(self) -> PerceptionCase:
+        return video_case()
+
+
+class TestPackage(PackageContract):
+    """The distribution."""
+
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-perception-camera")
+
+
+def test_without_opencv_only_the_video_camera_is_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    offers = {offer.spec.name: offer for offer in discover().all_offers if offer.spec.kind == "perception"}
+    assert offers["ros-camera"].status is Status.READY
+    assert offers["video-camera"].status is Status.UNAVAILABLE
+    assert 'pip install "rn-perception-camera[video]"' in offers["video-camera"].reason
