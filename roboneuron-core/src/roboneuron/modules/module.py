@@ -6,22 +6,25 @@ import gc
 import logging
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import InternalError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.priority import restore
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
 from roboneuron.modules.status import ModuleStatus, StatusReporter
-from roboneuron.ros.qos import STOP_REQUESTS
+from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
+from roboneuron.ros.topics import WARM_UP
 
 _LOOP_PERIOD_S = 0.02
 """How often the executor shows that it turns, and looks at the latch file (1 us)."""
+_WARM_UPS, _WARM_UP_PERIOD_S = 30, 0.1
 log = logging.getLogger(__name__)
 
 
@@ -73,6 +76,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._outputs: dict[str, LifecyclePublisher] = {}
         self._listeners: dict[str, int] = {}
         self._beat_s: float | None = None
+        self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
+        self._warm_up = self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
+        self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._reporter = StatusReporter(self, self.status)
@@ -173,11 +179,25 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _on_loop(self) -> None:
         self.status.tick_loop()
         self._check_stop()
+        self._open_ways()
         for topic, publisher in self._outputs.items():
             count = publisher.get_subscription_count()
             if count != self._listeners.get(topic):
                 self._listeners[topic] = count
                 self.status.set_value(f"listeners.{topic}", count)
+
+    def _open_ways(self) -> None:
+        """In shadow, send something to all modules: the first message to a process opens a port, which may take long.
+
+        Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a third of
+        `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock held.
+        """
+        now_s = self.status.clock()
+        if self._warm_up is None or not self._warm_up.is_activated or len(self._warm_ups_s) == _WARM_UPS:
+            return
+        if not self._warm_ups_s or now_s - self._warm_ups_s[-1] > _WARM_UP_PERIOD_S:
+            self._warm_ups_s.append(now_s)
+            self._warm_up.publish(Empty())
 
     def _on_emergency_stop(self, message: Bool) -> None:
         """Any node may stop; only the latch's own reset releases what it stopped."""
