@@ -47,7 +47,8 @@ class Graph:
         from lifecycle_msgs.srv import ChangeState
 
         config = {"robot": {"name": robot, "namespace": namespace}}
-        settings = {"kind": "robot", "node_name": "robot", "config": config, "state_directory": str(self.folder / namespace)}
+        state = str(self.folder / namespace)
+        settings = {"kind": "robot", "node_name": "robot", "config": config, "state_directory": state}
         with (self.folder / f"{namespace}.log").open("wb") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", "roboneuron.modules"], stdin=subprocess.PIPE, stdout=log, stderr=log

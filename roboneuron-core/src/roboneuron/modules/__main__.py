@@ -54,7 +54,7 @@ def _run(settings: ModuleSettings) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     stop, pressed = threading.Event(), threading.Event()
     signal.signal(signal.SIGUSR1, lambda *_: pressed.set())
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: stop.set())
     node = ModuleNode(settings, build)
     executor = SingleThreadedExecutor()

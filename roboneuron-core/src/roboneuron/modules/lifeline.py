@@ -2,7 +2,7 @@
 
 Two independent ways: the kernel sends SIGTERM when the spawning thread ends (PR_SET_PDEATHSIG), and stdin, a pipe
 whose other end only the parent holds, comes to its end. Either way the module gets a bounded time to hold the robot and
-leave.
+leave. A module that is stopped (SIGSTOP) is woken by the kernel, see `roboneuron.supervisor.process`.
 """
 
 from __future__ import annotations

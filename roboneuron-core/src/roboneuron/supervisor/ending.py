@@ -18,14 +18,16 @@ if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
 log = logging.getLogger(__name__)
-_DEACTIVATE_S = 2.0
+DEACTIVATE_S = 2.0
 KILL_S = 5.0
 """After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
 
 
-def deactivate(link: RosLink, changes: Changes, slot: Slot, settings: ModuleSettings) -> None:
-    """Ask for silence; what does not answer is ended anyway."""
-    limit_s = min(_DEACTIVATE_S, settings.config.supervisor.stop_timeout_s / 2)
+def deactivate(
+    link: RosLink, changes: Changes, slot: Slot, settings: ModuleSettings, most_s: float = DEACTIVATE_S
+) -> None:
+    """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
+    limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
     client = LifecycleClient(link, f"/{settings.status_name}", changes, lambda: slot.check_alive("being deactivated"))
     try:
         if client.transition("deactivate", limit_s) is None:

@@ -1,4 +1,9 @@
-"""One module process: spawned in a session of its own, reaped at once when it ends, killed with all its children."""
+"""One module process: spawned in a process group of its own, reaped at once when it ends, killed with its children.
+
+The group stays in the server's session: when the server dies, the kernel wakes a module that is stopped, with SIGHUP
+and SIGCONT as to every newly orphaned group (POSIX, `_exit`), and it leaves. In a session of its own it would stay
+frozen for ever, deaf to its death signal.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +72,7 @@ class ModuleProcess:
                 self._child.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """SIGKILL to the process and everything it has started in its session."""
+        """SIGKILL to the process and everything it has started in its group."""
         self.note_segments()
         with self._reaping:
             if self._child.returncode is None:
@@ -141,7 +146,7 @@ class Spawner:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=dict(environment),
-                start_new_session=True,
+                process_group=0,
             )
         process = ModuleProcess(name, child, log_path, offset)
         assert child.stdin is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from roboneuron.ros.environment import module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.ending import KILL_S, deactivate, end_processes
+from roboneuron.supervisor.ending import DEACTIVATE_S, KILL_S, deactivate, end_processes
 from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.heartbeat import Heartbeat
 from roboneuron.supervisor.logs import run_directory
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 Stage = Callable[[str], None]
+_LEAVE_S = 1.5
+"""When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
 
 
 def module_command(python: str | None) -> list[str]:
@@ -209,8 +212,12 @@ class Supervisor:
         """End a start in progress, without waiting for its end; returns whether there was one."""
         return self._cancel_beside(kind, reason) or self._slots[kind].cancel(reason)
 
-    def stop_all(self) -> list[Stopped]:
-        """Stop everything in the reverse order of starting; never raises for what is not running."""
+    def stop_all(self, within_s: float = math.inf) -> list[Stopped]:
+        """Stop everything in the reverse order of starting; never raises for what is not running.
+
+        Args:
+            within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give it more time.
+        """
         with self.changes.lock:
             slots = [*self._slots.values(), *self._beside]
         for slot in slots:
@@ -222,7 +229,7 @@ class Supervisor:
                 claimed.append((slot, slot.begin_stop()))
             except StateError:
                 continue
-        return self._finish(claimed)
+        return self._finish(claimed, within_s)
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now."""
@@ -264,7 +271,7 @@ class Supervisor:
         """Stop everything, leave the ROS graph, end all threads; idempotent."""
         with self.changes.lock:
             self._closed = True
-        self.stop_all()
+        self.stop_all(_LEAVE_S)
         self._connection.close()
         self._heartbeat.close()
         self._spawner.close()
@@ -342,16 +349,18 @@ class Supervisor:
             self._board.forget(settings.status_name, process.pid)
             self._on_change(slot.kind)
 
-    def _finish(self, claimed: Sequence[tuple[Slot, ModuleProcess]]) -> list[Stopped]:
+    def _finish(self, claimed: Sequence[tuple[Slot, ModuleProcess]], within_s: float = math.inf) -> list[Stopped]:
         """Silence all in order, then end them together."""
         started_s = time.monotonic()
+        share_s = within_s / (len(claimed) + 1)
         choices = [slot.choice for slot, _ in claimed]
         timeout_s = 0.0
         for (slot, _), choice in zip(claimed, choices, strict=True):
             if choice is not None:
                 timeout_s = max(timeout_s, choice.settings.config.supervisor.stop_timeout_s)
-                deactivate(self.link, self.changes, slot, choice.settings)
-        killed = end_processes([process for _, process in claimed], timeout_s)
+                deactivate(self.link, self.changes, slot, choice.settings, min(share_s, DEACTIVATE_S))
+        left_s = max(share_s, started_s + within_s - time.monotonic())
+        killed = end_processes([process for _, process in claimed], min(timeout_s, left_s))
         results = []
         for (slot, process), choice in zip(claimed, choices, strict=True):
             report = None
