@@ -10,7 +10,8 @@ ARGS ?=
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
-WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',$(ALL_PACKAGES))
+WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
+  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',$(ALL_PACKAGES)))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 

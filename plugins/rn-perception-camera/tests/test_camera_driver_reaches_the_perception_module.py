@@ -54,7 +54,7 @@ class Graph:
         (information / "entry_points.txt").write_text("[roboneuron]\nrn-cell = camera_cell\n")
         self.environment = {**os.environ, "PYTHONPATH": str(site)}
 
-    def wait_for(self, condition: Callable[[], bool], what: str, limit_s: float = 30.0) -> None:
+    def wait_for(self, condition: Callable[[], bool], what: str, limit_s: float = 60.0) -> None:
         deadline_s = time.monotonic() + limit_s
         while not condition():
             assert time.monotonic() < deadline_s, f"waited in vain: {what}"
