@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError, StateError
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 _REASON_S = 1.0
 """The reason of a refused transition is published just before the answer; it may arrive a little later."""
+_PROGRESS_S = 5.0
 _PERSISTENT_S = 1.5
 """An error that stays this long while a module is active but not ready ends the start; shorter ones may heal."""
 
@@ -39,11 +42,12 @@ class Bringup:
         self._slot = slot
         self._process = process
         self._name = settings.status_name
-        self._timeout_s = settings.config.supervisor.start_timeout_s
+        self._timeout_s = settings.config.start_timeout_s(settings.kind)
         self._board = board
         self._changes = changes
         self._on_stage = on_stage
         self._doing = "starting"
+        self._since_s = self._told_s = time.monotonic()
         self._client = LifecycleClient(link, f"/{self._name}", changes, self._check)
 
     def run(self, deadline_s: float) -> None:
@@ -130,11 +134,13 @@ class Bringup:
         return NotReadyError(
             f"{self._slot.kind} (pid {self._process.pid}) was not ready within {self._timeout_s:g} s; "
             f"missing: {missing}.{said}",
-            hint=f"The process was ended; its log is {self._process.log_path}.",
+            hint=f"The process was ended; its log is {self._process.log_path}. If it only needs longer, raise "
+            f"start_timeout_s in [{self._slot.kind}].",
         )
 
     def _stage(self, doing: str) -> None:
         self._doing = doing
+        self._since_s = self._told_s = time.monotonic()
         self._on_stage(f"{self._slot.kind}: {doing}")
 
     def _report(self) -> Report | None:
@@ -151,7 +157,27 @@ class Bringup:
     def _check(self) -> None:
         self._slot.check_not_cancelled()
         self._slot.check_alive(self._doing)
+        self._tell_progress()
+
+    def _tell_progress(self) -> None:
+        """Loading may take minutes: say for how long it has gone on, and how much is in memory by now."""
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _PROGRESS_S:
+            self._told_s = now_s
+            self._on_stage(
+                f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most {self._timeout_s:g} s"
+                f"{_memory(self._process.pid)}"
+            )
 
 
 def _left(deadline_s: float) -> float:
     return max(0.0, deadline_s - time.monotonic())
+
+
+def _memory(pid: int) -> str:
+    """Such as ", 12.3 GB in memory" of a living process, else nothing."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, IndexError, ValueError):
+        return ""
+    return f", {pages * os.sysconf('SC_PAGE_SIZE') / 1e9:.1f} GB in memory"

@@ -303,7 +303,7 @@ class Supervisor:
     def _bring_up(self, slot: Slot, settings: ModuleSettings, python: str | None, on_stage: Stage) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process."""
         supervision = settings.config.supervisor
-        deadline_s = time.monotonic() + supervision.start_timeout_s
+        deadline_s = time.monotonic() + settings.config.start_timeout_s(settings.kind)
         phase: Phase = "stopped"
         try:
             slot.process = self._spawn(slot, settings, python)

@@ -1,0 +1,115 @@
+"""The sections of the server: how agents connect, and what they may use directly."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from roboneuron.config.section import EndpointName, Name, Namespace, Range, Seconds, Section
+
+
+class TokenConfig(Section):
+    """One entry of `server.tokens`: where a bearer token is found, never the token itself."""
+
+    name: Name = Field(description="who holds it; for the audit")
+    role: Literal["viewer", "operator", "admin"] = Field(description="read; also move; also expose and reset")
+    variable: str | None = Field(default=None, max_length=128, description="environment variable that holds it")
+    file: str | None = Field(default=None, description="or a file that only its owner can read")
+
+
+class ServerConfig(Section):
+    """`[server]`: how agents connect."""
+
+    name: str = Field(default="roboneuron", description="server name that MCP clients see")
+    transport: Literal["stdio", "http"] = Field(default="stdio", description="http: streamable HTTP, at /mcp")
+    host: str = Field(default="127.0.0.1", min_length=1, max_length=253, description="address that http listens on")
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8765, description="port of http; 0: any free one")
+    allowed_hosts: tuple[str, ...] = Field(
+        default=(), strict=False, description="names that clients use for this machine, besides `host`"
+    )
+    allowed_origins: tuple[str, ...] = Field(
+        default=(), strict=False, description="web pages that may connect, such as https://panel.lan"
+    )
+    lease_s: Seconds | None = Field(
+        default=None, description="motion ends when its operator makes no call for this long; none: never"
+    )
+    max_request_bytes: Annotated[int, Field(ge=1024, le=1 << 28)] = Field(
+        default=4 << 20, description="largest request over http"
+    )
+    max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
+        default=64, description="most tool calls at once; stops are always taken"
+    )
+    tokens: tuple[TokenConfig, ...] = Field(
+        default=(), strict=False, description="who may connect over http: tables of `name`, `role`, `variable`, `file`"
+    )
+
+
+class ExposeConfig(Section):
+    """`[[expose]]`: a ROS interface that agents may use directly, or limits on one that the robot's profile exposes."""
+
+    robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
+    namespace: Namespace | None = Field(
+        default=None, description="ROS namespace of that robot; by default its name with underscores"
+    )
+    name: EndpointName | None = Field(
+        default=None, description="short noun in the tools' names; without it the robot's whole profile is exposed"
+    )
+    kind: Literal["publish", "read", "service", "action", "parameters"] | None = Field(
+        default=None, description="what agents may do; as in the robot's profile when not given"
+    )
+    topic: str | None = Field(
+        default=None, max_length=200, description="topic, service, action or node; absolute or in the namespace"
+    )
+    type: str | None = Field(default=None, description="package/msg/Name, package/srv/Name or package/action/Name")
+    summary: str = Field(default="", max_length=500, description="one line for the agent")
+    bounds: dict[str, Range] = Field(default_factory=dict, description="[lowest, highest] by field path")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most calls per second")
+    clamp: tuple[str, ...] = Field(default=(), strict=False, description="fields that are clamped instead of refused")
+    nonfinite: tuple[str, ...] = Field(default=(), strict=False, description="fields that may hold NaN and infinities")
+    stop_message: Literal["", "zero"] | dict[str, Any] = Field(
+        default="", description='ends every motion: "zero", or the message itself'
+    )
+    repeat_hz: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        default=None, description="a lasting value is sent again this often"
+    )
+    require_subscriber: bool = Field(default=True, description="a message that nobody receives is an error")
+    moves: bool = Field(default=True, description="false: it moves nothing and may be used while a policy runs")
+
+
+class DiscoverConfig(Section):
+    """`[[discover]]`: interfaces of the live ROS graph that agents may use without being listed one by one."""
+
+    pattern: str = Field(min_length=2, max_length=200, pattern=r"^/[A-Za-z0-9_/*?]+$", description="such as /arm/*")
+    kinds: tuple[Literal["read", "publish", "service", "action"], ...] = Field(
+        default=("read",), strict=False, description="what agents may do with what matches"
+    )
+    robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        default=10.0, description="most calls per second of each endpoint"
+    )
+    limits: dict[str, dict[str, Range]] = Field(
+        default_factory=dict,
+        description='[lowest, highest] by field path, by type; `"*"` is every other number of the type',
+    )
+    unlimited: tuple[str, ...] = Field(
+        default=(), strict=False, description="types whose numbers may be sent though nothing limits them"
+    )
+    period_s: Annotated[float, Field(ge=0.1, le=60)] = Field(default=1.0, description="how often it is looked at")
+    most: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="most endpoints of this pattern")
+
+
+class DirectConfig(Section):
+    """`[direct]`: the tools that are derived from ROS interfaces."""
+
+    profile: bool = Field(default=True, description="expose the endpoints of the robot's profile")
+    dry_run: bool = Field(default=False, description="answer what would happen, send nothing")
+    listed_tools: Annotated[int, Field(ge=0, le=10000)] = Field(
+        default=100, description="more derived tools than this are reached by find_tools and call_endpoint"
+    )
+    expose_without_token: bool = Field(
+        default=False, description="expose_endpoint is for clients without a token too: agents on stdio and loopback"
+    )
+    max_duration_s: Seconds = Field(default=120.0, description="longest motion, sequence or goal")
+    ee_speed_m_s: Annotated[float, Field(gt=0, le=1)] = Field(default=0.25, description="fastest end-effector move")
+    ee_turn_rad_s: Annotated[float, Field(gt=0, le=3)] = Field(default=1.0, description="fastest end-effector turn")
