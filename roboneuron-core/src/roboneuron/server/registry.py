@@ -110,14 +110,14 @@ class ToolRegistry:
             check_role(tool, context)
             if isinstance(tool, Tool) and tool.urgent is not None:
                 tool.urgent(arguments, context)
-            if self._ready is not None:
-                await self._ready()
-            self._admit(tool, context)
             if self._calls > self._most_calls and not tool.always:
                 raise NotReadyError(
                     f"{self._most_calls} calls are at work already, no more are taken.",
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
                 )
+            if self._ready is not None:
+                await self._ready()
+            self._admit(tool, context)
             if isinstance(tool, DerivedTool):
                 answer = await tool.handler(arguments, context)
             else:
