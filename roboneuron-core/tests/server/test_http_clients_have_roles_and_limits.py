@@ -160,7 +160,7 @@ def test_each_role_may_do_what_it_may(server: HttpServer) -> None:
 
     seen = {role: anyio.run(with_client, server, role, names) for role in TOKENS}
     assert seen["viewer"] < seen["operator"] < seen["admin"]
-    assert seen["admin"] - seen["operator"] == {"reset_emergency_stop"}
+    assert seen["admin"] - seen["operator"] == {"reset_emergency_stop", "expose_endpoint", "unexpose_endpoint"}
     assert {"get_status", "emergency_stop"} <= seen["viewer"]
     assert not {"start_robot", "set_instruction", "stop_all"} & seen["viewer"]
 
@@ -173,6 +173,17 @@ def test_each_role_may_do_what_it_may(server: HttpServer) -> None:
     assert not ask(server, "viewer", "emergency_stop", reason="seen on the screen").is_error
     assert code_of(ask(server, "operator", "reset_emergency_stop")) == "refused"
     assert not ask(server, "admin", "reset_emergency_stop").is_error
+
+
+def test_an_admin_exposes_an_endpoint_while_the_server_runs(server: HttpServer) -> None:
+    horn = {"name": "horn", "kind": "publish", "topic": "horn", "type": "std_msgs/msg/Bool"}
+    assert code_of(ask(server, "operator", "expose_endpoint", **horn)) == "refused"
+    made = ask(server, "admin", "expose_endpoint", **horn)
+    assert not made.is_error, made.content
+    nobody = ask(server, "admin", "publish_horn", message={"data": True}, timeout_s=0)
+    assert "Nobody subscribes to /gantry/horn" in nobody.content[0].text
+    assert not ask(server, "admin", "unexpose_endpoint", "legacy", name="horn").is_error
+    assert "There is no tool 'publish_horn'" in ask(server, "admin", "publish_horn").content[0].text
 
 
 def test_a_session_is_of_one_token(server: HttpServer) -> None:

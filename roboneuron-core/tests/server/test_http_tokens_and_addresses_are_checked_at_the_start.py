@@ -12,7 +12,7 @@ from roboneuron.config import Config, TokenConfig, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.http import listen, serve_http
 from roboneuron.server.http_border import security_settings
-from roboneuron.server.tokens import TokenTable, read_tokens
+from roboneuron.server.tokens import TokenFiles, TokenTable, read_tokens
 
 GOOD = "a-token-of-sufficient-length"
 
@@ -94,3 +94,37 @@ def test_the_command_line_goes_before_the_file() -> None:
         with_server(base, parser.parse_args(["--port", "9000"]))
     with pytest.raises(ConfigurationError, match="70000"):
         with_server(base, parser.parse_args(["--transport", "http", "--port", "70000"]))
+
+
+def test_a_token_file_that_changes_is_read_again(tmp_path: Path) -> None:
+    mine, yours = tmp_path / "mine", tmp_path / "yours"
+    for path, token in ((mine, GOOD), (yours, GOOD[::-1])):
+        path.write_text(token)
+        path.chmod(0o600)
+    sections = (
+        TokenConfig(name="mine", role="admin", file=str(mine)),
+        TokenConfig(name="yours", role="viewer", file=str(yours)),
+    )
+    tokens = TokenFiles(sections, {})
+
+    def holder(token: str) -> str:
+        found = tokens.find(token)
+        return found.who if found is not None else ""
+
+    assert (holder(GOOD), holder(GOOD[::-1])) == ("mine", "yours")
+    mine.write_text("another-token-of-sufficient-length")
+    assert (holder(GOOD), holder("another-token-of-sufficient-length")) == ("", "mine")
+    mine.write_text("short")
+    assert (holder("short"), holder(GOOD[::-1])) == ("", "yours")
+    mine.write_text(GOOD[::-1])
+    assert holder(GOOD[::-1]) == "mine", "the first entry keeps a token that two files hold"
+    mine.write_text(GOOD)
+    mine.chmod(0o644)
+    assert (holder(GOOD), holder(GOOD[::-1])) == ("", "yours"), "others can read it"
+    mine.unlink()
+    yours.unlink()
+    assert (holder(GOOD), holder(GOOD[::-1])) == ("", "")
+    assert tokens, "a token is asked for all the same"
+    mine.write_text(GOOD)
+    mine.chmod(0o600)
+    assert holder(GOOD) == "mine"

@@ -41,6 +41,11 @@ def holder_of(request: Any) -> Holder:
     return holder if isinstance(holder, Holder) else NOBODY
 
 
+def is_local(who: str) -> bool:
+    """Whether that client was let in without a token; no token can have such a name."""
+    return who in (LOCAL_AGENT.who, LOCAL_PROCESS.who)
+
+
 def least_role(tool: Tool[Any] | DerivedTool) -> str:
     """The least role that may call a tool."""
     return tool.role or (VIEWER if tool.read_only else OPERATOR)

@@ -20,7 +20,7 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.http_border import Border, security_settings
 from roboneuron.server.selection import check_configuration
-from roboneuron.server.tokens import TokenTable, read_tokens
+from roboneuron.server.tokens import TokenFiles, TokenTable
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
@@ -41,7 +41,7 @@ def serve_http(config: Config) -> None:
             missing, or the address cannot be used.
     """
     section = config.server
-    tokens = read_tokens(section.tokens, os.environ)
+    tokens = TokenFiles(section.tokens, os.environ)
     security = security_settings(section)
     with listen(section, tokens) as listener:
         application = Application(config)

@@ -1,9 +1,10 @@
-"""Bearer tokens: read once from the environment or from files, compared in constant time, never shown."""
+"""Bearer tokens: from the environment or from files, compared in constant time, never shown."""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
+import logging
 import os
 import stat
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from roboneuron.config import TokenConfig
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.access import Holder
 
+log = logging.getLogger(__name__)
 _LEAST_CHARACTERS = 16
 _NEW = "Make one with: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
 
@@ -21,7 +23,7 @@ class TokenTable:
     """Holders by token; keeps digests, not tokens."""
 
     def __init__(self, entries: Sequence[tuple[str, Holder]]) -> None:
-        self._entries = [(_digest(token), holder) for token, holder in entries]
+        self._entries = _digests(entries)
 
     def __bool__(self) -> bool:
         return bool(self._entries)
@@ -35,13 +37,65 @@ class TokenTable:
         return found
 
 
+class TokenFiles(TokenTable):
+    """The tokens of a running server: a file that changes is read again at the next request.
+
+    A file that is gone, or holds no good token any more, leaves its holder without one; the others keep theirs.
+    """
+
+    def __init__(self, sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> None:
+        """Raises ConfigurationError as `read_tokens`."""
+        self._sections = sections
+        self._environment = environment
+        self._marks = self._look()
+        super().__init__(_entries(sections, environment))
+
+    def __bool__(self) -> bool:
+        """Whether a token is asked for; also when none is good at the moment."""
+        return bool(self._sections)
+
+    def find(self, token: str) -> Holder | None:
+        """As `TokenTable.find`, by what the files hold now."""
+        marks = self._look()
+        if marks != self._marks:
+            self._marks = marks
+            good: list[tuple[str, Holder]] = []
+            for section in self._sections:
+                try:
+                    good = _entries([section], self._environment, good)
+                except ConfigurationError as error:
+                    log.error("A token is not accepted any more: %s", error)
+            self._entries = _digests(good)
+            log.info("The files of tokens have changed; %d of %d are good.", len(good), len(self._sections))
+        return super().find(token)
+
+    def _look(self) -> list[tuple[int, ...] | None]:
+        """What tells that a file has changed; None without one."""
+        return [_mark(section.file) for section in self._sections if section.file is not None]
+
+
+def _mark(name: str) -> tuple[int, ...] | None:
+    try:
+        seen = Path(name).expanduser().stat()
+    except OSError:
+        return None
+    return seen.st_mtime_ns, seen.st_ctime_ns, seen.st_ino, seen.st_size, seen.st_mode
+
+
 def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> TokenTable:
     """Read the tokens that the configuration points to.
 
     Raises:
         ConfigurationError: one is absent, short, readable by others, or the same as another; never shows it.
     """
-    entries: list[tuple[str, Holder]] = []
+    return TokenTable(_entries(sections, environment))
+
+
+def _entries(
+    sections: Sequence[TokenConfig], environment: Mapping[str, str], before: Sequence[tuple[str, Holder]] = ()
+) -> list[tuple[str, Holder]]:
+    """Tokens and holders, after those before."""
+    entries = list(before)
     for section in sections:
         token = _read(section, environment)
         where = f"The token of {section.name!r}"
@@ -53,7 +107,7 @@ def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str])
         if any(token == other or section.name == holder.who for other, holder in entries):
             raise ConfigurationError(f"{where} or its name is that of another entry of [[server.tokens]].", hint=_NEW)
         entries.append((token, Holder(who=section.name, role=section.role)))
-    return TokenTable(entries)
+    return entries
 
 
 def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
@@ -74,6 +128,10 @@ def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
             return file.read(4096).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error
+
+
+def _digests(entries: Sequence[tuple[str, Holder]]) -> list[tuple[bytes, Holder]]:
+    return [(_digest(token), holder) for token, holder in entries]
 
 
 def _digest(token: str) -> bytes:

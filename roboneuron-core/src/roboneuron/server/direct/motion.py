@@ -18,7 +18,10 @@ POLL_S = 0.01
 class Motion:
     """A motion that is under way; used by the thread that plays it."""
 
-    def __init__(self, gate: Gate, what: str, halt: threading.Event, policy: Callable[[], str]) -> None:
+    def __init__(
+        self, gate: Gate, exposed: Exposed, what: str, halt: threading.Event, policy: Callable[[], str]
+    ) -> None:
+        self.exposed = exposed
         self.what = what
         self._gate = gate
         self._halt = halt
@@ -104,7 +107,7 @@ class MotionDesk:
         Raises:
             RefusedError: somebody else moves it.
         """
-        motion = Motion(self._gate, what, halt, lambda: self._policy(exposed) if exposed.moves else "")
+        motion = Motion(self._gate, exposed, what, halt, lambda: self._policy(exposed) if exposed.moves else "")
         key = exposed.robot if exposed.moves else f"{exposed.robot}/{exposed.topic}"
         with self._lock:
             self.check_free(exposed)
@@ -118,9 +121,10 @@ class MotionDesk:
                 del self._moving[key]
                 self._idle.notify_all()
 
-    def end_all(self, reason: str, timeout_s: float) -> bool:
-        """End every motion and wait for that; False when one did not end in time."""
+    def end_all(self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True) -> bool:
+        """End every motion (through the endpoints that are meant) and wait; False when one did not end in time."""
         with self._idle:
-            for motion in self._moving.values():
+            ended = [motion for motion in self._moving.values() if which(motion.exposed)]
+            for motion in ended:
                 motion.end(reason)
-            return self._idle.wait_for(lambda: not self._moving, timeout_s)
+            return self._idle.wait_for(lambda: not any(m in ended for m in self._moving.values()), timeout_s)

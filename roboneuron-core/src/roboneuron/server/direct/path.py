@@ -6,13 +6,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from roboneuron.config import Config
+from roboneuron.config import Config, ExposeConfig
 from roboneuron.contract import RobotProfile
-from roboneuron.errors import RoboNeuronError
-from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate
+from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
+from roboneuron.gate import AuditLog, AuditRecord, EmergencyStopLatch, Gate
 from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.direct.access import Access
@@ -21,6 +22,7 @@ from roboneuron.server.direct.derive import derive_tools
 from roboneuron.server.direct.directory import directory_tools
 from roboneuron.server.direct.discovery import LiveGraph
 from roboneuron.server.direct.endpoints import Exposed, Exposure, exposure, unique
+from roboneuron.server.direct.exposing import Admin, ExposureChange, exposing_tools
 from roboneuron.server.direct.found import check_patterns
 from roboneuron.server.direct.generic import generic_tools
 from roboneuron.server.direct.motion import MotionDesk
@@ -34,6 +36,8 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
+Use = tuple[str, str, str]
+"""Robot, label and kind of an endpoint."""
 
 
 class DirectPath:
@@ -64,6 +68,9 @@ class DirectPath:
             gate=self.gate, desk=self.desk, traffic=self.traffic, max_duration_s=config.direct.max_duration_s
         )
         self._exposure = Exposure()
+        self._admin = threading.Lock()
+        self._added: tuple[ExposeConfig, ...] = ()
+        self._hidden: frozenset[Use] = frozenset()
         self._named: tuple[Exposed, ...] = ()
         self._found: tuple[Exposed, ...] = ()
         self._all: dict[str, DerivedTool] = {}
@@ -71,7 +78,11 @@ class DirectPath:
 
     def tools(self) -> list[Tool[Any]]:
         """The tools that are there whatever is exposed."""
-        return generic_tools(lambda: self._exposure, self.traffic)
+        config = self._loop.config
+        tools = generic_tools(lambda: self._exposure, self.traffic)
+        if config.server.tokens or config.direct.expose_without_token:
+            tools += exposing_tools(self, config.direct.expose_without_token)
+        return tools
 
     def fill(self, registry: ToolRegistry) -> None:
         """Derive the tools of what the configuration exposes into `registry`.
@@ -91,6 +102,68 @@ class DirectPath:
         except RoboNeuronError as error:
             log.error("The tools of the robot cannot be derived: %s", error)
 
+    def expose(self, entry: ExposeConfig, admin: Admin) -> ExposureChange:
+        """Expose one more endpoint until the server ends; blocks.
+
+        Raises:
+            ConfigurationError, PluginError, MissingDependencyError: as `endpoints.exposure`.
+            RefusedError: the audit cannot be written.
+        """
+        robot = entry.robot or self._loop.config.robot.name
+        with self._admin:
+            shown = {u for u in self._hidden if u[0] == robot and entry.name in (None, u[1])
+                     and entry.kind in (None, u[2])}  # fmt: skip
+            return self._change((*self._added, entry), self._hidden - shown, admin)
+
+    def unexpose(self, robot: str | None, name: str, kind: str | None, admin: Admin) -> ExposureChange:
+        """Withdraw an endpoint, and end motion through it; blocks.
+
+        Raises:
+            InvalidInputError: there is none of that name.
+            RefusedError: the audit cannot be written.
+        """
+        whose = robot or self._loop.config.robot.name
+        with self._admin:
+            uses = [*map(use_of, self._exposure.endpoints), *((n.robot, n.name, "parameters")
+                    for n in self._exposure.nodes)]  # fmt: skip
+            meant = {use for use in uses if use[:2] == (whose, name) and kind in (None, use[2])}
+            if not meant:
+                listed = ", ".join(sorted({use[1] for use in uses if use[0] == whose})[:20]) or "none"
+                raise InvalidInputError(
+                    f"No such endpoint {name!r} of {whose!r} is exposed; exposed are: {listed}.", path="name"
+                )
+            kept = tuple(e for e in self._added if not _is_about(e, whose, name, kind, self._loop.config))
+            change = self._change(kept, self._hidden | meant, admin)
+            self.desk.end_all(f"{name!r} was withdrawn.", _CLOSE_S, lambda exposed: use_of(exposed) in meant)
+            return change
+
+    def _change(self, added: tuple[ExposeConfig, ...], hidden: frozenset[Use], admin: Admin) -> ExposureChange:
+        """Have another exposure: checked first, written down, then in force."""
+        assert self._registry is not None
+        record = AuditRecord(
+            who=admin.who, role=admin.role, tool=admin.tool, arguments=admin.arguments, verdict="allowed"
+        )
+        before = (self._added, self._hidden)
+        tools = {tool.name: (tool.input_schema, tool.description) for tool in self._registry.derived()}
+        self._added, self._hidden = added, hidden
+        try:
+            configured = self._configured()
+            self.gate.audit.write(record)
+            is_new = self._derive(configured)
+        except RoboNeuronError as error:
+            self._added, self._hidden = before
+            with suppress(RefusedError):
+                self.gate.audit.write(replace(record, verdict="refused", reason=error.message[:500]))
+            raise
+        if is_new:
+            self._on_change()
+        now = {tool.name: (tool.input_schema, tool.description) for tool in self._registry.derived()}
+        return ExposureChange(
+            added=sorted(now.keys() - tools.keys()),
+            removed=sorted(tools.keys() - now.keys()),
+            changed=sorted(name for name in now.keys() & tools.keys() if now[name] != tools[name]),
+        )
+
     def open(self) -> None:
         """Begin to watch the graph, where the configuration wants that."""
         self._graph.start()
@@ -104,21 +177,22 @@ class DirectPath:
 
     def _configured(self) -> Exposure:
         config: Config = self._loop.config
+        config = config.model_copy(update={"expose": (*config.expose, *self._added)})
         made = exposure(config, self._loop.plugins.current())
-        return Exposure(endpoints=(*made.endpoints, *arm_endpoints(config, made)), nodes=made.nodes)
+        shown = Exposure(
+            endpoints=tuple(e for e in made.endpoints if use_of(e) not in self._hidden),
+            nodes=tuple(n for n in made.nodes if (n.robot, n.name, "parameters") not in self._hidden),
+        )
+        return replace(shown, endpoints=(*shown.endpoints, *arm_endpoints(config, shown)))
 
     def _derive(self, configured: Exposure) -> bool:
         """Allow list first, tools then: a tool is never there before its endpoint is allowed."""
         assert self._registry is not None
         with self._lock:
             self._named = configured.endpoints
-            known = {(e.robot, e.label, e.endpoint.kind) for e in configured.endpoints}
+            known = {*map(use_of, configured.endpoints), *self._hidden}
             used = {(e.topic, e.endpoint.kind) for e in configured.endpoints}  # a pattern is no way around their limits
-            new = [
-                e
-                for e in self._found
-                if (e.robot, e.label, e.endpoint.kind) not in known and (e.topic, e.endpoint.kind) not in used
-            ]
+            new = [e for e in self._found if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
             self.gate.replace([*(e.allowed() for e in endpoints), *(e.allowed() for e in nodes)])
@@ -157,3 +231,12 @@ class DirectPath:
         if view.choice.settings.config.namespace != exposed.namespace:
             return ""
         return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
+
+
+def use_of(exposed: Exposed) -> Use:
+    """What an admin names: whose, which, for what."""
+    return exposed.robot, exposed.label, exposed.endpoint.kind
+
+
+def _is_about(entry: ExposeConfig, robot: str, name: str, kind: str | None, config: Config) -> bool:
+    return (entry.robot or config.robot.name, entry.name) == (robot, name) and kind in (None, entry.kind)
