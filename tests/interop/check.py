@@ -87,11 +87,12 @@ def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]
     code, text = ask("--method", "tools/call", "--tool-name", "get_status")
     rows.append(("tools/call get_status", code == 0 and '"modules"' in text, f"exit {code}"))
     code, text = ask("--method", "tools/call", "--tool-name", "stop_robot")
-    # The reason is lost at this client, see docs/interop.md; that it is an error is not.
-    rows.append(("tools/call that fails", code != 0, f"exit {code} {_last(text)[:160]}"))
+    rows.append(
+        ("tools/call that fails, with its reason", code != 0 and "robot is not running" in text, _said(code, text))
+    )
     wrong = ["--tool-name", "start_robot", "--tool-arg", "robot=none-such"]
     code, text = ask("--method", "tools/call", *wrong)
-    rows.append(("tools/call, bad argument", code != 0, f"exit {code} {_last(text)[:160]}"))
+    rows.append(("tools/call, bad argument, named", code != 0 and "Choose one of" in text, _said(code, text)))
     code, text = ask("--method", "tools/call", "--tool-name", "no_such_tool")
     rows.append(("tools/call, no such tool", code != 0 or "isError" in text, f"exit {code} {_last(text)[:100]}"))
     code, text = ask("--method", "resources/list")
@@ -107,6 +108,12 @@ def conform(environment: dict[str, str], url: str, results: Path) -> tuple[bool,
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     text = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout + done.stderr)
     return done.returncode == 0, text[text.rfind("=== SUMMARY") :] if "=== SUMMARY" in text else text[-4000:]
+
+
+def _said(code: int, text: str) -> str:
+    """Exit status and the text of the tool's error."""
+    found = re.search(r'"text": "([^"]*)"', text)
+    return f"exit {code}: {found.group(1) if found else _last(text)}"
 
 
 def _last(text: str) -> str:
