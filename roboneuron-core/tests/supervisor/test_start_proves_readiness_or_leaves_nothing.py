@@ -6,12 +6,13 @@ import os
 import re
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.errors import CheckpointError, NotReadyError, StateError, UngroundedError
+from roboneuron.errors import CheckpointError, ConfigurationError, NotReadyError, StateError, UngroundedError
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -28,7 +29,7 @@ def children() -> set[int]:
     tasks = f"/proc/{os.getpid()}/task"
     found = set()
     for task in os.listdir(tasks):
-        with open(f"{tasks}/{task}/children") as file:
+        with suppress(FileNotFoundError, ProcessLookupError), open(f"{tasks}/{task}/children") as file:  # it has ended
             found |= {int(word) for word in file.read().split()}
     return found
 
@@ -173,3 +174,19 @@ def test_a_module_of_another_server_is_neither_driven_nor_disturbed(
     view = supervisor.require_running("robot")
     assert view.report is not None
     assert view.report.state == "active"
+
+
+def test_a_state_directory_that_cannot_be_written_is_named(
+    tmp_path: Path, make_config: MakeConfig, fake_command: Callable[[str | None], list[str]]
+) -> None:
+    (tmp_path / "file").touch()
+    other = Supervisor(tmp_path / "file" / "state", command=fake_command)
+    try:
+        for attempt in (other.open, lambda: other.start("robot", make_config())):
+            with pytest.raises(
+                ConfigurationError, match=r"The state directory .*/file/state.* cannot be written"
+            ) as caught:
+                attempt()
+            assert "XDG_STATE_HOME" in caught.value.hint
+    finally:
+        other.close()

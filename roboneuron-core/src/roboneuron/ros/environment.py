@@ -11,6 +11,7 @@ import sys
 from collections.abc import MutableMapping
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from roboneuron.errors import ConfigurationError
 
@@ -28,6 +29,24 @@ def state_directory(configured: str | None = None) -> Path:
         return Path(configured).expanduser()
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "roboneuron"
+
+
+def check_state_directory(directory: Path) -> None:
+    """Make the directory, if need be, and try to write there.
+
+    Raises:
+        ConfigurationError: neither is possible; names the directory and what to do.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=directory):
+            pass
+    except OSError as error:
+        raise ConfigurationError(
+            f"The state directory {directory} cannot be written: {error.strerror or error}.",
+            hint="It keeps logs, the emergency stop and the audit. Make it writable, or name another one with "
+            "state_directory in [supervisor], or with XDG_STATE_HOME.",
+        ) from error
 
 
 def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_directory: Path) -> None:

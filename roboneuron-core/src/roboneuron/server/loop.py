@@ -28,7 +28,8 @@ from roboneuron.server.selection import (
 from roboneuron.server.stream import ActionStream
 from roboneuron.server.trials import ControlTrial, InferenceTrial, PerceptionTrial
 from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.supervisor import Stage, Supervisor
+from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:

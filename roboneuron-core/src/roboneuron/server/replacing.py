@@ -13,7 +13,8 @@ from roboneuron.server.selection import Selection
 from roboneuron.server.switching import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.server.trials import Trial
 from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.supervisor import Stage, Supervisor
+from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.view import ModuleView
 
 SwitchMode = Literal["warm", "cold"]

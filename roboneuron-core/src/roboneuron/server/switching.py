@@ -18,9 +18,10 @@ from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
 from roboneuron.server.stream import Gap
 from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.slot import Slot
-from roboneuron.supervisor.supervisor import Stage, Supervisor
+from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from roboneuron.server.selection import Selection

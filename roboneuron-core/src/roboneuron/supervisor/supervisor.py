@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-import logging
 import math
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError, StateError
-from roboneuron.modules.priority import lower
+from roboneuron.errors import StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
-from roboneuron.ros.environment import module_environment
-from roboneuron.supervisor.bringup import Bringup
+from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.ending import DEACTIVATE_S, KILL_S, deactivate, end_processes
+from roboneuron.supervisor.ending import KILL_S
 from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.heartbeat import Heartbeat
+from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
 from roboneuron.supervisor.logs import run_directory
-from roboneuron.supervisor.process import ModuleProcess, Spawner
-from roboneuron.supervisor.slot import Choice, Phase, Slot
+from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.slot import Choice, Slot
 from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
-log = logging.getLogger(__name__)
-Stage = Callable[[str], None]
 _LEAVE_S = 1.5
 """When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
-
-
-def module_command(python: str | None) -> list[str]:
-    """How a module process is started; `-P` keeps the working directory out of its import path."""
-    return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
 
 
 def _ignore(_: str) -> None:
@@ -58,18 +47,25 @@ class Supervisor:
         self,
         state_directory: Path,
         *,
-        command: Callable[[str | None], Sequence[str]] = module_command,
+        command: Command = module_command,
         on_change: Stage = _ignore,
     ) -> None:
         self.state_directory = state_directory
         self.log_directory = run_directory(state_directory)
         self.changes = Changes()
-        self._command = command
-        self._on_change = on_change
-        self._board = StatusBoard(self.changes)
-        self._connection = Connection(self._board.receive, self.log_directory)
-        self._spawner = Spawner()
+        board = StatusBoard(self.changes)
+        self._connection = Connection(board.receive, self.log_directory)
         self._heartbeat = Heartbeat(self._processes)
+        self._launcher = Launcher(
+            self._connection,
+            board,
+            self.changes,
+            command=command,
+            log_directory=self.log_directory,
+            on_spawn=self._heartbeat.start,
+            on_change=on_change,
+        )
+        self._on_change = on_change
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
         self._beside: list[Slot] = []
         self._order = count(1)
@@ -81,7 +77,12 @@ class Supervisor:
         return self._connection.link()
 
     def open(self) -> None:
-        """Begin to join the ROS graph in the background; returns at once."""
+        """Begin to join the ROS graph in the background; returns at once.
+
+        Raises:
+            ConfigurationError: the state directory cannot be written.
+        """
+        check_state_directory(self.state_directory)
         self._connection.begin()
 
     def start(
@@ -112,7 +113,7 @@ class Supervisor:
             self._check_open()
             settings = self._settings(kind, kind, config)
             slot.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
-        self._bring_up(slot, settings, python, on_stage)
+        self._launcher.bring_up(slot, settings, python, on_stage)
         return self.view(kind)
 
     def start_standby(
@@ -143,7 +144,7 @@ class Supervisor:
             standby.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
             self._beside.append(standby)
         try:
-            self._bring_up(standby, settings, python, on_stage)
+            self._launcher.bring_up(standby, settings, python, on_stage)
         except BaseException:
             self._forget_beside(standby)
             raise
@@ -170,7 +171,7 @@ class Supervisor:
         """End a standby or a replaced module; None when its process was gone already."""
         try:
             process = slot.begin_stop()
-            return self._finish([(slot, process)])[0]
+            return self._launcher.finish([(slot, process)])[0]
         except StateError:
             return None
         finally:
@@ -188,10 +189,7 @@ class Supervisor:
 
     def report_of(self, slot: Slot) -> Report | None:
         """The newest report of a module, standby or not."""
-        process, choice = slot.process, slot.choice
-        if process is None or choice is None:
-            return None
-        return self._board.newest(choice.settings.status_name, process.pid)
+        return self._launcher.report_of(slot)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
@@ -206,7 +204,7 @@ class Supervisor:
             if slot.phase != "running":
                 return None
         process = slot.begin_stop()
-        return self._finish([(slot, process)])[0]
+        return self._launcher.finish([(slot, process)])[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one."""
@@ -229,7 +227,7 @@ class Supervisor:
                 claimed.append((slot, slot.begin_stop()))
             except StateError:
                 continue
-        return self._finish(claimed, within_s)
+        return self._launcher.finish(claimed, within_s)
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now."""
@@ -274,7 +272,7 @@ class Supervisor:
         self.stop_all(_LEAVE_S)
         self._connection.close()
         self._heartbeat.close()
-        self._spawner.close()
+        self._launcher.close()
 
     def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
         return ModuleSettings(
@@ -299,88 +297,6 @@ class Supervisor:
         with self.changes.lock:
             if slot in self._beside:
                 self._beside.remove(slot)
-
-    def _bring_up(self, slot: Slot, settings: ModuleSettings, python: str | None, on_stage: Stage) -> None:
-        """Spawn, configure, activate and wait for readiness; a failure ends the process."""
-        supervision = settings.config.supervisor
-        deadline_s = time.monotonic() + settings.config.start_timeout_s(settings.kind)
-        phase: Phase = "stopped"
-        try:
-            slot.process = self._spawn(slot, settings, python)
-            bringup = Bringup(slot, slot.process, settings, self.link, self._board, self.changes, on_stage)
-            bringup.run(deadline_s)
-            self._connection.segments.add(slot.process.note_segments())
-            phase = "running"
-        finally:
-            if phase != "running" and slot.process is not None:
-                end_processes([slot.process], supervision.stop_timeout_s)
-                self._board.forget(settings.status_name, slot.process.pid)
-            slot.settle(phase)
-            if slot.process is not None and slot.process.exit_code is not None:
-                self._on_exit(slot, settings, slot.process)  # it died between its proof and here
-            self._on_change(slot.kind)
-
-    def _spawn(self, slot: Slot, settings: ModuleSettings, python: str | None) -> ModuleProcess:
-        command = self._command(python)
-        try:
-            process = self._spawner.spawn(
-                settings.node_name,
-                command,
-                module_environment(python),
-                settings.model_dump_json(),
-                self.log_directory / f"{settings.node_name}.log",
-            )
-        except OSError as error:
-            raise ConfigurationError(
-                f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
-                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
-            ) from error
-        if settings.shadow:
-            lower(process.pid)
-        self._heartbeat.start()
-        log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
-        self._board.watch(settings.status_name, process.pid)
-        process.reap(lambda ended: self._on_exit(slot, settings, ended))
-        return process
-
-    def _on_exit(self, slot: Slot, settings: ModuleSettings, process: ModuleProcess) -> None:
-        if slot.note_exit(process):
-            log.error("%s is gone: %s", slot.kind, slot.explain_exit())
-            self._board.forget(settings.status_name, process.pid)
-            self._on_change(slot.kind)
-
-    def _finish(self, claimed: Sequence[tuple[Slot, ModuleProcess]], within_s: float = math.inf) -> list[Stopped]:
-        """Silence all in order, then end them together."""
-        started_s = time.monotonic()
-        share_s = within_s / (len(claimed) + 1)
-        choices = [slot.choice for slot, _ in claimed]
-        timeout_s = 0.0
-        for (slot, _), choice in zip(claimed, choices, strict=True):
-            if choice is not None:
-                timeout_s = max(timeout_s, choice.settings.config.supervisor.stop_timeout_s)
-                deactivate(self.link, self.changes, slot, choice.settings, min(share_s, DEACTIVATE_S))
-        left_s = max(share_s, started_s + within_s - time.monotonic())
-        killed = end_processes([process for _, process in claimed], min(timeout_s, left_s))
-        results = []
-        for (slot, process), choice in zip(claimed, choices, strict=True):
-            report = None
-            if choice is not None:
-                report = self._board.newest(choice.settings.status_name, process.pid)
-                self._board.forget(choice.settings.status_name, process.pid)
-            slot.settle("stopped")
-            log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
-            results.append(
-                Stopped(
-                    kind=slot.kind,
-                    pid=process.pid,
-                    exit_code=process.exit_code if process.exit_code is not None else -9,
-                    killed=process.pid in killed,
-                    took_s=time.monotonic() - started_s,
-                    report=report,
-                )
-            )
-            self._on_change(slot.kind)
-        return results
 
     def _await_settled(self, slot: Slot) -> None:
         config = slot.choice.settings.config.supervisor if slot.choice is not None else None
