@@ -13,7 +13,7 @@ from mcp.types import ImageContent, TextContent
 
 from roboneuron.errors import NotReadyError
 
-_CALL_TIMEOUT_S = 120.0
+_CALL_TIMEOUT_S = 180.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
