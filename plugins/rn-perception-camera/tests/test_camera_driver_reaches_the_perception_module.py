@@ -131,7 +131,7 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
     infos = graph.listen(CameraInfo, "/cell/camera/front/camera_info")
     driver = graph.start(str(HERE / "camera_driver.py"), "best_effort")
     graph.start_perception()
-    graph.wait_for(lambda: len(fronts) > 5 and len(sides) > 2 and len(infos) > 5, "images of both cameras")
+    graph.wait_for(lambda: len(fronts) > 5 and len(sides) > 4 and len(infos) > 5, "images of both cameras")
 
     for message in fronts:
         pixels = np.frombuffer(message.data, dtype=np.uint8).reshape(32, 32, 3)

@@ -103,7 +103,13 @@ def test_max_rate_holds_the_newest_image_until_it_is_due(cell: Any, raw: Any, pi
         cell.topics.deliver("front", raw(pixels, NOW_NS + 2 * turn + 1))
         assert source.read(1.0).stamp_ns == NOW_NS + 2 * turn + 1
     assert time.monotonic() - began_s >= 0.2
-    cell.topics.deliver("front", raw(pixels, NOW_NS + 9))
+
+
+def test_image_that_is_not_due_is_told_from_an_absent_one(cell: Any, raw: Any, pixels: Any) -> None:
+    source = cell.source(front={"max_rate_hz": 0.1})
+    cell.topics.deliver("front", raw(pixels))
+    source.read(1.0)
+    cell.topics.deliver("front", raw(pixels, NOW_NS + 1))
     with pytest.raises(NotReadyError, match="not due yet"):
         source.read(0.01)
 

@@ -127,11 +127,11 @@ def read_until(source: VideoCameras, condition: Callable[[Exception], bool], lim
 
 def test_film_plays_at_its_pace_in_its_colours_and_then_ends(build: Any, film: Path) -> None:
     source = build(front={"path": str(film)})
-    source.open()
-    frames: list[Frame] = [source.read(1.0)]
     began_s = time.monotonic()
+    source.open()
+    frames: list[Frame] = [source.read(5.0)]
     read_until(source, lambda error: "has ended" in str(error) and "loop = true" in str(error))
-    assert time.monotonic() - began_s >= 0.05  # the rest of the film at least partly waited for
+    assert time.monotonic() - began_s >= 0.1  # five times 20 ms between six pictures
     red, green, blue = frames[0].image.reshape(-1, 3).mean(axis=0)
     assert (green, blue) == pytest.approx((100, 30), abs=8)  # MJPG
     assert red <= 250
@@ -148,9 +148,10 @@ def test_film_in_a_loop_goes_on(build: Any, film: Path) -> None:
 
 def test_slow_pace_is_kept(build: Any, film: Path) -> None:
     source = build(front={"path": str(film), "fps": 20.0})
+    began_ns = time.time_ns()
     source.open()
-    first, second = (source.read(2.0).stamp_ns for _ in range(2))
-    assert second - first >= 40e6
+    stamps = [source.read(5.0).stamp_ns for _ in range(4)]
+    assert stamps[-1] - began_ns >= 150e6
 
 
 def test_unplugged_camera_is_told_and_comes_back(build: Any, bus: Bus) -> None:
