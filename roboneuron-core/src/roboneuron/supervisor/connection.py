@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from collections.abc import Callable
@@ -12,11 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.supervisor.shared_memory import RECORD_NAME, SegmentRecord, clean_recorded, owned_segments
+from roboneuron.supervisor.shared_memory import (
+    RECORD_NAME,
+    SegmentRecord,
+    clean_abandoned,
+    clean_recorded,
+    owned_segments,
+)
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
+log = logging.getLogger(__name__)
 _OPEN_TIMEOUT_S = 30.0
 
 
@@ -73,6 +81,9 @@ class Connection:
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
             clean_recorded(self._log_directory.parent.glob(f"*/{RECORD_NAME}"))
+            removed, size = clean_abandoned()
+            if removed:
+                log.info("Removed %d shared-memory files (%.0f MB) of processes that were killed.", removed, size / 1e6)
             self.segments.add(owned_segments(os.getpid()))
             self._subscribe(link)
         except BaseException as error:  # handed to whoever asks for the link

@@ -12,6 +12,7 @@ import logging
 import os
 import re
 import threading
+import time
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,9 @@ log = logging.getLogger(__name__)
 SHARED_MEMORY = Path("/dev/shm")
 _PREFIX, _SUFFIX = "fastrtps_", "_el"
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
+_SEGMENT = re.compile(r"^fastrtps_[0-9a-f]{16}$")
+LEAST_AGE_S = 60.0
+"""A segment is made, locked and mapped one after the other: a young one may be on its way."""
 RECORD_NAME = "shared_memory"
 """Of the record in a server run's log folder."""
 
@@ -41,8 +45,42 @@ def remove_stale(names: frozenset[str]) -> int:
     return sum(_remove_if_stale(name) for name in names)
 
 
-def _remove_if_stale(name: str) -> bool:
-    lock_file = SHARED_MEMORY / f"{name}{_SUFFIX}"
+def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S) -> tuple[int, int]:
+    """Remove segments of this user whose owners were killed, of whatever program; returns how many, and their bytes.
+
+    Only what has not been touched for `least_age_s`, is locked by nobody and mapped by no living process. Ports are
+    left: their names are used again, and they are small.
+    """
+    mapped = _mapped(directory)
+    removed = size = 0
+    for lock_file in directory.glob(f"{_PREFIX}*{_SUFFIX}"):
+        name = lock_file.name.removesuffix(_SUFFIX)
+        if not _SEGMENT.match(name) or name in mapped:
+            continue
+        with suppress(OSError):
+            found = lock_file.stat()
+            if found.st_uid != os.getuid() or time.time() - found.st_mtime < least_age_s:
+                continue
+            segment = directory / name
+            held = segment.stat().st_size if segment.exists() else 0
+            if _remove_if_stale(name, directory):
+                removed, size = removed + 1, size + held
+    return removed, size
+
+
+def _mapped(directory: Path) -> set[str]:
+    """Names of files in the directory that a living process maps, as far as this one may look."""
+    names = set()
+    for entry in os.scandir("/proc"):
+        if entry.name.isdigit():
+            with suppress(OSError):
+                text = Path(f"/proc/{entry.name}/maps").read_text(encoding="utf-8", errors="replace")
+                names |= {line.rpartition("/")[2] for line in text.splitlines() if f" {directory}/{_PREFIX}" in line}
+    return names
+
+
+def _remove_if_stale(name: str, directory: Path = SHARED_MEMORY) -> bool:
+    lock_file = directory / f"{name}{_SUFFIX}"
     try:
         descriptor = os.open(lock_file, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -52,7 +90,7 @@ def _remove_if_stale(name: str) -> bool:
     except OSError:
         return False
     else:
-        for path in (SHARED_MEMORY / name, SHARED_MEMORY / f"sem.{name}_mutex", lock_file):
+        for path in (directory / name, directory / f"sem.{name}_mutex", lock_file):
             path.unlink(missing_ok=True)
         return True
     finally:
