@@ -1,12 +1,15 @@
 """Direct path: from the agent's call to the message at a subscriber in another process, beside its two floors.
 
-    python benchmarks/bench_direct.py [--calls 300] [--stops 100] [--sizes 3 100 1000]
+    python benchmarks/bench_direct.py [--calls 300] [--stops 100] [--starts 3] [--sizes 3 100 1000]
 
-Floors, in the same run and in turns with ours: a tool that does nothing, called over the same kind of connection
-(stdio, MCP SDK), until it answers; and a bare rclpy publish to the same subscriber. "overhead" is ours minus the sum of
-both at the same percentile. The answer's way back is in the floor but not in ours: "answered" compares call and answer
-with the floor's call and answer, plus the publish.
+Floors, in the same run and in turns with ours: a tool that does nothing, on the same transport as ours (stdio, MCP SDK,
+our line reader and writer), and a bare rclpy publish to the same subscriber. The tool is timed twice: until it answers,
+and one way, until its handler is entered. Ours is timed until the message is at the subscriber, and until it answers.
+"overhead" is ours minus the sum of both floors at the same percentile; the one that counts is "one way", because in the
+other the floor's way back flatters us.
 Times are taken on one host with one clock (CLOCK_MONOTONIC), from just before the call to the subscriber's callback.
+The start of the server is timed from the spawn of its process to the answer of `initialize`, of the first `tools/list`,
+and to the first message at the subscriber (which waits for ROS to be joined and matched).
 The stop is measured from the emergency_stop call to the zero message at the subscriber, during a 10 s sequence.
 """
 
@@ -36,19 +39,25 @@ from roboneuron.testing.domain import free_ros_domain
 TOPIC = "/bench/cmd_vel"
 BUDGET_MS = 0.3
 TRIVIAL = """
+import os, time
 import anyio
 from mcp import types
 from mcp.server import Server
 from mcp.server.stdio import stdio_server
+from roboneuron.server.stdio import LineReader, LineWriter
 
 async def main():
+    reader, writer = LineReader(os.dup(0)), LineWriter(os.dup(1))
+    reader.start()
+    writer.start()
     schema = {"type": "object"}
     async def listing(context, params):
         return types.ListToolsResult(tools=[types.Tool(name="nothing", description="Nothing.", input_schema=schema)])
     async def call(context, params):
-        return types.CallToolResult(content=[types.TextContent(type="text", text="{}")], structured_content={})
+        at = {"at_ns": time.monotonic_ns()}
+        return types.CallToolResult(content=[types.TextContent(type="text", text="{}")], structured_content=at)
     server = Server("trivial", on_list_tools=listing, on_call_tool=call)
-    async with stdio_server() as (read, write):
+    async with stdio_server(reader, writer) as (read, write):
         await server.run(read, write, server.create_initialization_options())
 
 anyio.run(main)
@@ -131,7 +140,8 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
 
 
 SERVE = (
-    "import sys\nfrom roboneuron.config import load_config\nfrom pathlib import Path\n"
+    "import logging, sys\nlogging.basicConfig(level='ERROR')\nfrom pathlib import Path\n"
+    "from roboneuron.config import load_config\n"
     "from roboneuron.server.stdio import divert_standard_streams\nwire = divert_standard_streams()\n"
     "import roboneuron.server.app as app\napp.check_configuration = lambda *a: None\n"
     "app.serve_stdio(load_config(Path(sys.argv[1])), wire)\n"
@@ -139,7 +149,7 @@ SERVE = (
 
 
 def server(path: Path) -> StdioServerParameters:
-    """Our server; the check that the robot's plugin is installed is left out, because the robot is none."""
+    """Our server, quiet; the check that the robot's plugin is installed is left out, because the robot is none."""
     return StdioServerParameters(command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ))
 
 
@@ -176,7 +186,7 @@ def percentile(values: list[float], share: float) -> float:
 
 async def measure(size: int, calls: int, listener: Listener, folder: Path, publish: Any) -> dict[str, list[float]]:
     """Milliseconds of ours and both floors, one after the other in each round."""
-    times: dict[str, list[float]] = {"tool": [], "publish": [], "ours": [], "round trip": []}
+    times: dict[str, list[float]] = {"tool": [], "entered": [], "publish": [], "ours": [], "round trip": []}
     trivial = StdioServerParameters(command=sys.executable, args=["-c", TRIVIAL], env=dict(os.environ))
     async with Client(trivial) as floor, Client(server(configuration(folder, size, False))) as client:
         started = time.monotonic()
@@ -187,8 +197,9 @@ async def measure(size: int, calls: int, listener: Listener, folder: Path, publi
         for index in range(-20, calls):
             mark = float(index + 1000 + size * 1e6)
             begun = time.monotonic_ns()
-            await floor.call_tool("nothing", {})
+            nothing = await floor.call_tool("nothing", {})
             tool_ms = (time.monotonic_ns() - begun) / 1e6
+            entered_ms = (nothing.structured_content["at_ns"] - begun) / 1e6
             begun = time.monotonic_ns()
             publish(-mark)
             arrived = listener.arrival_ns(-mark)
@@ -204,6 +215,7 @@ async def measure(size: int, calls: int, listener: Listener, folder: Path, publi
             ours = listener.arrival_ns(mark)
             if index >= 0 and arrived is not None and ours is not None:
                 times["tool"].append(tool_ms)
+                times["entered"].append(entered_ms)
                 times["publish"].append(publish_ms)
                 times["ours"].append((ours - begun) / 1e6)
                 times["round trip"].append((ended - begun) / 1e6)
@@ -245,31 +257,47 @@ async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[l
     return stops, cancels
 
 
+async def measure_start(size: int, listener: Listener, folder: Path) -> tuple[float, float, float]:
+    """Seconds from the spawn to the answer of initialize, of tools/list, and to the first message."""
+    mark = time.monotonic()
+    begun = time.monotonic_ns()
+    async with Client(server(configuration(folder, size, False))) as client:
+        ready = time.monotonic_ns()
+        await client.list_tools()
+        listed = time.monotonic_ns()
+        arguments: dict[str, Any] = {"message": {"linear": {"y": mark}}, "timeout_s": 30}
+        answer = await client.call_tool("publish_velocity", arguments)
+        assert not answer.is_error, answer.content
+        arrived = listener.arrival_ns(mark) or 0
+    return (ready - begun) / 1e9, (listed - begun) / 1e9, (arrived - begun) / 1e9
+
+
+def show_starts(console: Console, rows: dict[int, list[tuple[float, float, float]]]) -> None:
+    """The start of the server, the median of each size."""
+    table = Table(title="From the spawn of `serve` [s], median", title_justify="left")
+    for column in ("endpoints", "starts", "initialize", "tools/list", "first message"):
+        table.add_column(column, justify="right")
+    for size, starts in rows.items():
+        medians = (percentile([start[part] for start in starts], 0.5) for part in range(3))
+        table.add_row(str(size), str(len(starts)), *(f"{value:.2f}" for value in medians))
+    console.print(table)
+
+
 def show_delivery(console: Console, rows: dict[int, dict[str, list[float]]]) -> None:
     """Both tables of the first measurement."""
     table = Table(title="Call to message at a subscriber in another process [ms]", title_justify="left")
-    for column in (
-        "endpoints",
-        "",
-        "tool (floor)",
-        "publish (floor)",
-        "ours",
-        "overhead",
-        "answered",
-        "overhead",
-        "budget",
-    ):
+    columns = ("endpoints", "", "tool", "tool one way", "publish", "ours", "overhead", "one way", "answered", "budget")
+    for column in columns:
         table.add_column(column, justify="right")
     for size, times in rows.items():
         for word, share in (("median", 0.5), ("p99", 0.99)):
-            floor = percentile(times["tool"], share), percentile(times["publish"], share)
-            ours = percentile(times["ours"], share)
-            answered = percentile(times["round trip"], share)
-            over = ours - sum(floor)
-            budget = f"{BUDGET_MS} {'kept' if over <= BUDGET_MS else 'missed'}" if word == "median" else ""
-            table.add_row(
-                str(size), word, *(f"{v:.2f}" for v in (*floor, ours, over, answered, answered - sum(floor))), budget
+            tool, entered, publish, ours, answered = (
+                percentile(times[key], share) for key in ("tool", "entered", "publish", "ours", "round trip")
             )
+            one_way = ours - entered - publish
+            budget = f"{BUDGET_MS} {'kept' if one_way <= BUDGET_MS else 'missed'}" if word == "median" else ""
+            values = (tool, entered, publish, ours, ours - tool - publish, one_way, answered - tool - publish)
+            table.add_row(str(size), word, *(f"{v:.2f}" for v in values), budget)
     console.print(table)
     usable = Table(title="What the agent reads", title_justify="left")
     for column in ("endpoints", "tools/list [kB]", "tools/list [ms]", "find_tools [ms]"):
@@ -285,6 +313,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--calls", type=int, default=300)
     parser.add_argument("--stops", type=int, default=100)
+    parser.add_argument("--starts", type=int, default=3)
     parser.add_argument("--sizes", type=int, nargs="+", default=[3, 100, 1000])
     parser.add_argument("--json", type=Path, help="write the raw milliseconds here")
     arguments = parser.parse_args()
@@ -299,6 +328,11 @@ def main() -> int:
                 rows = {size: anyio.run(measure, size, arguments.calls, listener, folder, publish)
                         for size in arguments.sizes}  # fmt: skip
             show_delivery(console, rows)
+            starts = {
+                size: [anyio.run(measure_start, size, listener, folder) for _ in range(arguments.starts)]
+                for size in arguments.sizes
+            }
+            show_starts(console, starts)
             stops, cancels = anyio.run(measure_stops, arguments.stops, listener, folder)
         finally:
             listener.close()
@@ -310,7 +344,7 @@ def main() -> int:
         table.add_row(word, str(len(values)), *(f"{v:.1f}" for v in row), "50")
     console.print(table)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"delivery": rows, "stops": stops, "cancels": cancels}))
+        arguments.json.write_text(json.dumps({"delivery": rows, "starts": starts, "stops": stops, "cancels": cancels}))
     lost = sum(arguments.calls - len(times["ours"]) for times in rows.values())
     if lost:
         console.print(f"{lost} messages did not arrive.")
