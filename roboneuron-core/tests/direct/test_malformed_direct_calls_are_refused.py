@@ -82,7 +82,7 @@ def check_refused(application: Application, name: str, arguments: dict[str, Any]
     assert answer.structured_content is None
     assert answer.meta["roboneuron/error"]["code"] in ("invalid_input", "refused", "configuration"), text
     assert len(text) < 2000
-    assert not INTERNALS.search(text), text
+    assert not INTERNALS.search(text.replace(name, "")), text  # the caller's own words are no secret
     json.dumps(answer.meta, allow_nan=False)
 
 

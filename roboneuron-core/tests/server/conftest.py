@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
+from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
@@ -76,3 +79,42 @@ def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
         return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
 
     return make
+
+
+class Wheels:
+    """A subscriber of a ROS context of its own."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from geometry_msgs.msg import Twist
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.speeds: list[float] = []
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("wheels", namespace="gantry", context=self.context)
+        self.node.create_subscription(Twist, "cmd_vel", lambda m: self.speeds.append(m.linear.x), 50)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException
+
+        with suppress(ExternalShutdownException):
+            self.executor.spin()
+
+    def close(self) -> None:
+        self.executor.shutdown(timeout_sec=2.0)
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[Wheels]:
+    prepare_environment(tmp_path / "ros")
+    subscriber = Wheels(int(server_environment["ROS_DOMAIN_ID"]))
+    yield subscriber
+    subscriber.close()

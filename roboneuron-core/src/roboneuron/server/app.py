@@ -39,7 +39,7 @@ from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
-from roboneuron.server.stdio import LineReader, LineWriter
+from roboneuron.server.stdio import LineReader, LineWriter, ReadableMessages
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -272,6 +272,7 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
         # The streams only need to be iterated and written to.
         async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
             server = application.server
-            await server.run(read_stream, write_stream, server.create_initialization_options(CHANGES))
+            readable = cast(Any, ReadableMessages(read_stream, writer))
+            await server.run(readable, write_stream, server.create_initialization_options(CHANGES))
         group.cancel_scope.cancel()
     writer.close()

@@ -19,6 +19,8 @@ from roboneuron.server.schema import Schema, check_arguments, input_schema, outp
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
 log = logging.getLogger(__name__)
+_MOST_TEXT = 2000
+"""Characters of an error's text."""
 ERROR_META = "roboneuron/error"
 """Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the output schema)."""
 
@@ -123,7 +125,7 @@ class ToolRegistry:
             else:
                 answer = await self._call_typed(tool, arguments, context)
         except RoboNeuronError as error:
-            log.info("%s was refused: %s: %s", name, error.code, error)
+            log.info("%s was refused: %s: %s", _short(name), error.code, _clipped(str(error)))
             return _failure(error)
         except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
             incident = uuid.uuid4().hex[:8]
@@ -188,12 +190,17 @@ def _short(name: str) -> str:
     return repr(name) if len(name) <= 80 else f"{name[:77]!r}..."
 
 
+def _clipped(text: str) -> str:
+    """An error may quote what the caller sent, which may be long."""
+    return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 100]} ... {text[-80:]}"
+
+
 def _failure(error: RoboNeuronError) -> types.CallToolResult:
-    details = {"code": error.code, "message": error.message, "hint": error.hint}
+    details = {"code": error.code, "message": _clipped(error.message), "hint": _clipped(error.hint)}
     if isinstance(error, InvalidInputError) and error.path:
-        details["path"] = error.path
+        details["path"] = error.path[:_MOST_TEXT]
     return types.CallToolResult(
-        content=[types.TextContent(type="text", text=str(error))],
+        content=[types.TextContent(type="text", text=_clipped(str(error)))],
         _meta={ERROR_META: details},
         is_error=True,
     )

@@ -8,11 +8,13 @@ silent nor a stuck client can keep the server from leaving.
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import queue
 import sys
 import threading
 from collections.abc import AsyncIterator
+from typing import Any
 
 MAX_LINE_BYTES = 16 * 1024 * 1024
 """A longer line is not JSON-RPC that this server answers; it is dropped to the next newline."""
@@ -109,3 +111,67 @@ class LineWriter:
             except OSError as error:
                 sys.stderr.write(f"The client is gone: {error}\n")
                 return
+
+
+class ReadableMessages:
+    """The read stream of a stdio server without what is no JSON-RPC message.
+
+    That is answered with an error here, where the SDK only logs it: whoever sent it would wait for ever.
+    """
+
+    def __init__(self, stream: Any, writer: LineWriter) -> None:
+        self._stream = stream
+        self._writer = writer
+
+    @property
+    def last_context(self) -> Any:
+        """As the SDK's own stream."""
+        return self._stream.last_context
+
+    async def receive(self) -> Any:
+        """The next message."""
+        while True:
+            item = await self._stream.receive()
+            if not isinstance(item, Exception):
+                return item
+            await self._writer.write(_unreadable(item) + "\n")
+
+    async def aclose(self) -> None:
+        """As the SDK's own stream."""
+        await self._stream.aclose()
+
+    def __aiter__(self) -> ReadableMessages:
+        return self
+
+    async def __anext__(self) -> Any:
+        from anyio import EndOfStream
+
+        try:
+            return await self.receive()
+        except EndOfStream:
+            raise StopAsyncIteration from None
+
+    async def __aenter__(self) -> ReadableMessages:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.aclose()
+
+
+def _unreadable(error: Exception) -> str:
+    """The answer to a line that is no message, with its id as far as it has one."""
+    from pydantic import ValidationError  # heavy
+
+    found: object = None
+    is_json = True
+    if isinstance(error, ValidationError):
+        for entry in error.errors(include_url=False):
+            is_json = is_json and entry["type"] != "json_invalid"
+            whole = entry["input"]  # where a field is missing or unknown, the whole message
+            if entry["type"] == "missing" and len(entry["loc"]) == 2 and isinstance(whole, dict):
+                found = whole.get("id", found)
+    answer = {"code": -32600, "message": "This is no JSON-RPC request."}
+    if not is_json:
+        answer = {"code": -32700, "message": "This is no JSON."}
+    known = found if isinstance(found, int | str) and not isinstance(found, bool) else None
+    return json.dumps({"jsonrpc": "2.0", "id": known, "error": answer})

@@ -39,8 +39,7 @@ class Number:
                 raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
             return self.default
         word = "an integer" if self.integer else "a number"
-        above = value > self.low if self.above else value >= self.low  # also false for NaN, which compares to nothing
-        if isinstance(value, bool) or not isinstance(value, int | float) or not (above and value <= self.high):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not self._holds(value):
             raise InvalidInputError(
                 f"Argument {name!r} is {describe_value(value)}, expected {word} "
                 f"{'above' if self.above else 'from'} {self.low:g} {'up ' if self.above else ''}to {self.high:g}.",
@@ -49,6 +48,11 @@ class Number:
         if self.integer and value != int(value):
             raise InvalidInputError(f"Argument {name!r} is {describe_value(value)}, expected an integer.", path=name)
         return int(value) if self.integer else float(value)
+
+    def _holds(self, value: float) -> bool:
+        """Whether it is within the bounds; false for NaN, which compares to nothing."""
+        above = value > self.low if self.above else value >= self.low
+        return above and value <= self.high
 
 
 def boolean(text: str) -> Schema:
