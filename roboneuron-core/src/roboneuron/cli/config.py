@@ -33,6 +33,7 @@ def reference() -> str:
     """docs/configuration.md, generated from the configuration models."""
     from pydantic import BaseModel
 
+    from roboneuron.cli.options import describe_options
     from roboneuron.config import Config, default_text
 
     lines = [
@@ -58,11 +59,9 @@ def reference() -> str:
         purpose = (section.__doc__ or "").split(": ", 1)[-1].rstrip(".")
         heading = f"[[{name}]]" if section not in candidates else f"[{name}]"
         lines += [f"## `{heading}`: {purpose}", "", "| key | type | default | meaning |", "|---|---|---|---|"]
-        for key, entry in section.model_json_schema()["properties"].items():
-            model_field = section.model_fields[key]
-            value = model_field.get_default(call_default_factory=True)
-            default = "required" if model_field.is_required() else f"`{_literal(value)}`"
-            lines.append(f"| `{key}` | {_type(entry)} | {default} | {entry.get('description', '')} |")
+        for option in describe_options(section):
+            default = "required" if option.default is None else f"`{option.default}`"
+            lines.append(f"| `{option.key}` | {option.type} | {default} | {option.meaning} |")
         lines.append("")
     lines += [
         "## `[plugins.<name>]`: options of one plugin",
@@ -76,29 +75,3 @@ def reference() -> str:
         "",
     ]
     return "\n".join(lines)
-
-
-def _literal(value: object) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, tuple | dict) and not value:
-        return "[]" if isinstance(value, tuple) else "{}"
-    return repr(value).replace("'", '"')
-
-
-def _type(entry: dict[str, object]) -> str:
-    if "anyOf" in entry:
-        alternatives = [a for a in entry["anyOf"] if a.get("type") != "null"]  # type: ignore[attr-defined]
-        return _type(alternatives[0])
-    if "enum" in entry:
-        return " or ".join(f"`{value}`" for value in entry["enum"])  # type: ignore[attr-defined]
-    bounds = []
-    if "exclusiveMinimum" in entry:
-        bounds.append(f"> {entry['exclusiveMinimum']:g}")
-    if "minimum" in entry:
-        bounds.append(f"≥ {entry['minimum']:g}")
-    if "maximum" in entry:
-        bounds.append(f"≤ {entry['maximum']:g}")
-    words = {"array": "list", "object": "table"}
-    kind = str(entry.get("type", "value"))
-    return " ".join([words.get(kind, kind), ", ".join(bounds)]).strip()

@@ -6,10 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 
+from roboneuron.cli.options import describe_options
 from roboneuron.cli.plugin_listing import STYLES, offers_of
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.record import Offer, PluginRecord
+from roboneuron.plugins import availability
+from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.record import Offer, PluginRecord, Status
 from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
 
 
 def find(registry: Registry, name: str, kind: str | None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
@@ -55,9 +59,29 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
             )
             for key, value in facts(offer.spec):
                 console.print(Text(f"    {key}: {value}"))
+            for line in _options(offer):
+                console.print(Text(f"    {line}"))
         if record.traceback:
             console.print(Text(f"\n{record.traceback.rstrip()}", style="dim"))
     return 0
+
+
+def _options(offer: Offer) -> Iterator[str]:
+    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and can be imported."""
+    if offer.status is not Status.READY:
+        return
+    specs: list[Spec | DriverSpec] = [offer.spec]
+    if isinstance(offer.spec, RobotSpec):
+        specs += [driver for driver in offer.spec.drivers if not availability.missing(driver.requires)]
+    for spec in specs:
+        model = load_options_model(spec)
+        if model is None:
+            continue
+        owner = "" if spec is offer.spec else f" of driver {spec.name}"
+        yield f"options{owner}, in [plugins.{offer.spec.name}]:"
+        for option in describe_options(model):
+            default = "required" if option.default is None else f"default {option.default}"
+            yield f"  {option.key}  ({option.type}; {default})  {option.meaning}".rstrip()
 
 
 def facts(value: object, skip: Sequence[str] = ("name",)) -> Iterator[tuple[str, str]]:

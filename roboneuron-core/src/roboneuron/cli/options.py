@@ -1,0 +1,89 @@
+"""Options of a pydantic model as text: for `roboneuron config reference` and `roboneuron plugins show`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING, get_args, get_origin
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Option:
+    """One key.
+
+    Attributes:
+        key: as in the configuration.
+        type: with its bounds or choices.
+        default: as in TOML; None when it must be given.
+        meaning: its description.
+    """
+
+    key: str
+    type: str
+    default: str | None
+    meaning: str
+
+
+def describe_options(model: type[BaseModel]) -> Iterator[Option]:
+    """The options of a model, in its order.
+
+    Those of a table follow it, as `table.key`; in a table of tables as `table.<name>.key`, in a list as `list[].key`.
+    """
+    for key, entry in model.model_json_schema().get("properties", {}).items():
+        field = next(f for name, f in model.model_fields.items() if key in (name, f.alias))
+        default = None if field.is_required() else _literal(field.get_default(call_default_factory=True))
+        yield Option(key=key, type=_type(entry), default=default, meaning=entry.get("description", ""))
+        for place, table in _tables(key, field.annotation):
+            for option in describe_options(table):
+                yield replace(option, key=f"{place}.{option.key}")
+
+
+def _tables(place: str, annotation: object) -> Iterator[tuple[str, type[BaseModel]]]:
+    from pydantic import BaseModel
+
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield place, annotation
+        return
+    origin = get_origin(annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        place = f"{place}.<name>"
+    elif isinstance(origin, type) and issubclass(origin, Sequence):
+        place = f"{place}[]"
+    for part in get_args(annotation):
+        yield from _tables(place, part)
+
+
+def _literal(value: object) -> str:
+    """As TOML writes it; JSON is near enough for all that options hold but None."""
+    return "none" if value is None else json.dumps(value, default=_plain, ensure_ascii=False)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.model_dump(mode="json") if hasattr(value, "model_dump") else list(value)  # type: ignore[call-overload]
+
+
+def _type(entry: dict[str, object]) -> str:
+    if "anyOf" in entry:
+        alternatives = [a for a in entry["anyOf"] if a.get("type") != "null"]  # type: ignore[attr-defined]
+        return _type(alternatives[0])
+    if "enum" in entry:
+        return " or ".join(f"`{value}`" for value in entry["enum"])  # type: ignore[attr-defined]
+    bounds = []
+    if "exclusiveMinimum" in entry:
+        bounds.append(f"> {entry['exclusiveMinimum']:g}")
+    if "minimum" in entry:
+        bounds.append(f"≥ {entry['minimum']:g}")
+    if "maximum" in entry:
+        bounds.append(f"≤ {entry['maximum']:g}")
+    words = {"array": "list", "object": "table", "value": "table"}
+    kind = str(entry.get("type", "value"))
+    return " ".join([words.get(kind, kind), ", ".join(bounds)]).strip()
