@@ -98,6 +98,10 @@ def test_faults_are_told_recorded_and_survived(
         only = (await agent.do("list_incidents", module="control", entries=1))["incidents"]
         assert [i["module"] for i in only] == ["control"]
 
+        own = await agent.do("get_logs", module="server", contains="Spawned inference")
+        assert [(entry["level"], entry["logger"]) for entry in own["entries"]] == [
+            ("info", "roboneuron.supervisor.launching")
+        ]
         logs = await agent.do("get_logs", module="inference", entries=3)
         assert len(logs["entries"]) <= 3
         assert Path(logs["path"]).exists()

@@ -144,7 +144,7 @@ def test_status_and_logs_are_resources(application: Application) -> None:
         async with Client(application.server) as client:
             uris = {str(resource.uri) for resource in (await client.list_resources()).resources}
             assert uris == {"roboneuron://status"} | {
-                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control")
+                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control", "server")
             }
             status = (await client.read_resource("roboneuron://status")).contents[0]
             assert json.loads(status.text)["namespace"] == "gantry"  # type: ignore[union-attr]

@@ -32,6 +32,7 @@ from roboneuron.server.lost import watching
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.operating import Operating
+from roboneuron.server.own_log import OwnLog
 from roboneuron.server.pauses import shorten_pauses
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
@@ -129,6 +130,7 @@ class Application:
             state_directory(config.supervisor.state_directory), on_change=self._on_module
         )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
         self.guard = Guard(self.loop, self.notices.resource_updated)
         self.operating = Operating(config.server.lease_s, self.loop.emergency_stop.audit, self._on_lapse)
@@ -157,10 +159,12 @@ class Application:
         self.guard.close()
         self.direct.close()
         self.supervisor.close()
+        self._log.close()
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
         self.supervisor.open()
+        self._log.open()
         self._is_joining = True
         self.direct.open()
         self.guard.start()

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 from pydantic import Field
 
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.incidents import Incidents
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.own_log import FILE_NAME
 from roboneuron.server.tool import Arguments, CallContext, Result, Tool
 from roboneuron.supervisor.logs import read_tail
 
 Level = Literal["debug", "info", "warning", "error"]
+Source = Literal["robot", "perception", "inference", "control", "server"]
+SOURCES: tuple[Source, ...] = get_args(Source)
 _LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 _RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
 _ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
@@ -24,7 +28,7 @@ _MOST_TEXT = 4000
 class GetLogs(Arguments):
     """Arguments of get_logs."""
 
-    module: ModuleKind = Field(description="Whose log.")
+    module: Source = Field(description="Whose log; server: the log of this server itself.")
     entries: int = Field(default=50, ge=1, le=500, description="Most entries; the newest are given.")
     level: Level = Field(default="debug", description="Leave out entries below this level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
@@ -42,7 +46,7 @@ class LogEntry(Result):
 class LogsResult(Result):
     """The newest entries, oldest first."""
 
-    module: ModuleKind
+    module: Source
     entries: list[LogEntry]
     path: str = Field(description="the whole log, on the server's host")
 
@@ -93,11 +97,16 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
     return entries
 
 
+def log_file(loop: ClosedLoop, source: Source) -> Path:
+    """Where a module, or the server itself, logs."""
+    return loop.supervisor.log_directory / FILE_NAME if source == "server" else loop.supervisor.log_path(source)
+
+
 def record_tools(loop: ClosedLoop, incidents: Incidents) -> list[Tool[Any]]:
     """get_logs and list_incidents."""
 
     async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
-        path = loop.supervisor.log_path(arguments.module)
+        path = log_file(loop, arguments.module)
         least = _LEVELS.index(arguments.level)
         entries = [
             entry
@@ -119,8 +128,8 @@ def record_tools(loop: ClosedLoop, incidents: Incidents) -> list[Tool[Any]]:
     return [
         Tool(
             name="get_logs",
-            title="Log of a module",
-            description="The newest entries of a module's log, also after it has ended.",
+            title="Log of a module or of the server",
+            description="The newest entries of a module's log, also after it has ended, or of the server's own.",
             arguments=GetLogs,
             result=LogsResult,
             handler=get_logs,

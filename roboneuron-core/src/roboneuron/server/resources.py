@@ -1,13 +1,13 @@
-"""MCP resources: the status, and the log of each module."""
+"""MCP resources: the status, and the logs of each module and of the server."""
 
 from __future__ import annotations
 
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.observing import status
+from roboneuron.server.records import SOURCES, log_file
 from roboneuron.supervisor.logs import read_tail
 
 STATUS_URI = "roboneuron://status"
@@ -34,13 +34,13 @@ class Resources:
             ),
             *(
                 types.Resource(
-                    name=f"log of {kind}",
-                    title=f"Log of {kind}",
-                    uri=f"{LOG_URI}{kind}",
-                    description=f"The last {LOG_LINES} lines that {kind} has written.",
+                    name=f"log of {source}",
+                    title=f"Log of {source}",
+                    uri=f"{LOG_URI}{source}",
+                    description=f"The last {LOG_LINES} lines that {source} has written.",
                     mime_type="text/plain",
                 )
-                for kind in MODULE_KINDS
+                for source in SOURCES
             ),
         ]
 
@@ -53,9 +53,9 @@ class Resources:
         if uri == STATUS_URI:
             text = status(self._loop, self._started_s).model_dump_json(indent=2)
             return types.TextResourceContents(uri=uri, mime_type="application/json", text=text)
-        for kind in MODULE_KINDS:
-            if uri == f"{LOG_URI}{kind}":
-                lines = read_tail(self._loop.supervisor.log_path(kind), lines=LOG_LINES)
+        for source in SOURCES:
+            if uri == f"{LOG_URI}{source}":
+                lines = read_tail(log_file(self._loop, source), lines=LOG_LINES)
                 return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
         raise self._unknown(uri)
 

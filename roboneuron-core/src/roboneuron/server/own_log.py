@@ -1,0 +1,57 @@
+"""The server's own log as a file beside those of its modules, bounded in size."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+
+FILE_NAME = "server.log"
+FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_BYTES = 4 << 20
+"""Then a new file is begun; one older one is kept."""
+
+
+class OwnLog:
+    """Writes what this process logs, at least from "info" on, from `open` to `close`; other handlers get what they got.
+
+    Args:
+        directory: where it is; made when it does not exist.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / FILE_NAME
+        self._handler: logging.Handler | None = None
+        self._level = logging.NOTSET
+        self._quiet: list[logging.Handler] = []
+
+    def open(self) -> None:
+        """Begin; does nothing the second time. A disk that cannot be written costs the log, nothing else."""
+        if self._handler is not None:
+            return
+        with suppress(OSError):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._handler = RotatingFileHandler(self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8")
+            self._handler.setFormatter(logging.Formatter(FORMAT))
+            self._handler.handleError = lambda record: None  # type: ignore[method-assign]
+            root = logging.getLogger()
+            self._level = root.level
+            if root.level > logging.INFO:
+                self._quiet = [handler for handler in root.handlers if handler.level < root.level]
+                for handler in self._quiet:
+                    handler.setLevel(root.level)
+                root.setLevel(logging.INFO)
+            root.addHandler(self._handler)
+
+    def close(self) -> None:
+        """End; idempotent."""
+        if self._handler is not None:
+            root = logging.getLogger()
+            root.removeHandler(self._handler)
+            root.setLevel(self._level)
+            for handler in self._quiet:
+                handler.setLevel(logging.NOTSET)
+            self._quiet = []
+            self._handler.close()
+            self._handler = None
