@@ -15,7 +15,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-all check format bench bench-vla interop interop-sglang clean
+.PHONY: help demo demo-bases test test-all check format bench soak bench-vla interop interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -47,9 +47,13 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_loop.py
 	$(BIN)/python benchmarks/bench_start_stop.py
 	$(BIN)/python benchmarks/bench_switch.py
+	$(BIN)/python benchmarks/bench_faults.py
 	$(BIN)/python benchmarks/bench_direct.py
 	$(BIN)/python benchmarks/bench_servo.py
 	$(BIN)/python benchmarks/bench_interfaces.py
+
+soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
+	$(BIN)/python benchmarks/soak.py $(ARGS)
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)

@@ -32,10 +32,11 @@ source = "numbering"
 cameras = ["front"]
 {perception}
 [inference]
-backend = "first"
+backend = "{backend}"
 {inference}
 [control]
 controller = "gantry"
+{control}
 [supervisor]
 start_timeout_s = 40.0
 stop_timeout_s = 3.0
@@ -55,20 +56,28 @@ memory_file = "{folder}/memory"
 tag = 2
 mode_file = "{folder}/backend"
 memory_file = "{folder}/memory"
+[plugins.steady]
+mode_file = "{folder}/backend"
+memory_file = "{folder}/memory"
+[plugins.steadier]
+tag = 2
+mode_file = "{folder}/backend"
+memory_file = "{folder}/memory"
 """
 STILL_M = 1e-7
 
 
-def config_text(folder: Path, rate_hz: float, **more: str) -> str:
+def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more: str) -> str:
     """The configuration as TOML.
 
     Args:
         folder: where state and the files that make parts fail are.
         rate_hz: images per second.
-        more: more keys of `perception`, `inference`, `supervisor`, `camera`.
+        backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by what is measured.
+        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`.
     """
-    keys = dict.fromkeys(("perception", "inference", "supervisor", "camera"), "") | more
-    return CONFIG.format(folder=folder, rate_hz=rate_hz, **keys)
+    keys = dict.fromkeys(("perception", "inference", "control", "supervisor", "camera"), "") | more
+    return CONFIG.format(folder=folder, rate_hz=rate_hz, backend=backend, **keys)
 
 
 def install(site: Path) -> None:
@@ -131,6 +140,11 @@ class JointWitness:
         """Time and position [m] of the first joint, newest last."""
         with self._lock:
             return list(self._joints)
+
+    def changes(self, since_s: float) -> list[tuple[float, float]]:
+        """Time and position [m] of each measurement since then that differs from the one before."""
+        pairs = itertools.pairwise(self.joints())
+        return [after for before, after in pairs if after[0] >= since_s and abs(after[1] - before[1]) > STILL_M]
 
     def moved_s(self) -> float | None:
         """When the joint was last seen to move; None while nothing has been measured for 0.5 s."""

@@ -6,6 +6,7 @@ clocks that jump; the backend eats memory.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from fault_plugin import FaultOptions, read_mode
 from pydantic import Field
 from sensor_msgs.msg import JointState
-from switch_plugin import BackendOptions, CameraOptions, NamingBackend, NumberingCamera
+from switch_plugin import PERIOD_S, BackendOptions, CameraOptions, NamingBackend, NumberingCamera
 
 from roboneuron.contract import (
     ActionChunk,
@@ -78,6 +79,29 @@ class HungryBackend(NamingBackend):
         if read_mode(self._memory_file):
             self._kept.append(np.ones(5_000_000))
         return super().predict(observation)
+
+
+class SteadyBackendOptions(HungryBackendOptions):
+    """Options of the backend that swings about a place."""
+
+    centre_m: float = Field(default=0.1, description="x of the TCP about which it swings")
+
+
+class SteadyBackend(HungryBackend):
+    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so that it never drifts."""
+
+    def __init__(self, config: SteadyBackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+        super().__init__(config, runtime, acceleration)
+        self._centre_m = (config or SteadyBackendOptions()).centre_m
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """A step of at most 3 mm towards where the swing is at the image's time."""
+        chunk = super().predict(observation)
+        assert observation.ee_pose is not None
+        stamp_s = observation.frames["primary"].stamp_ns / 1e9
+        target_m = self._centre_m + 0.06 * math.sin(2 * math.pi * stamp_s / PERIOD_S)
+        chunk.actions[0, 0] = np.clip(target_m - observation.ee_pose.position_m[0], -0.003, 0.003)
+        return chunk
 
 
 def set_clock(mode: str, process: str) -> None:

@@ -57,7 +57,7 @@ def profile() -> RobotProfile:
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """One policy under two names."""
+    """Two policies, each under two names: one that goes on blindly, and one that swings about a place."""
     first = BackendSpec(
         name="first",
         summary="Names the image that it acts on, and fails on demand.",
@@ -65,7 +65,14 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         config=f"{PARTS}:HungryBackendOptions",
         action_space=ActionSpace(step_s=0.01),
     )
-    return [first, replace(first, name="second")]
+    steady = replace(
+        first,
+        name="steady",
+        target=f"{PARTS}:SteadyBackend",
+        config=f"{PARTS}:SteadyBackendOptions",
+        needs_state=True,
+    )
+    return [first, replace(first, name="second"), steady, replace(steady, name="steadier")]
 
 
 @hookimpl

@@ -1,0 +1,259 @@
+"""How soon a fault is noticed, and how soon the arm stands: crashes and emergency stops of a moving arm, in one run.
+
+    python benchmarks/bench_faults.py [--trials 100] [--json out.json]
+
+An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the joints did: "last motion"
+is the time from the fault to the last change of the measured joints; "noticed" is when the supervisor's watch told its
+listeners; "hold" is when control commanded, or the driver reported, a hold. Only the module that was killed is started
+again. The gantry reaches each command at once, so that its last motion is the last command's; an arm with inertia adds
+its braking. The floor is how long it takes this process to learn that a bare child was killed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fault_loop import JointWitness, moving_cell, quiet
+
+from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.selection import InferenceRequest
+from roboneuron.supervisor.view import ModuleView
+from roboneuron.supervisor.watch import Health, Watch
+
+sys.path.pop(0)
+
+NOTICE, MOTION, HOLD = "noticed", "last motion", "hold"
+BOUNDS_S = {
+    ("inference killed", NOTICE): 0.5,
+    ("inference killed", HOLD): 0.5,
+    ("perception killed", NOTICE): 0.5,
+    ("perception killed", HOLD): 1.0,
+    ("control killed", NOTICE): 0.5,
+    ("control killed", HOLD): 1.0 + 0.3,
+    ("inference frozen", NOTICE): 0.5,
+    ("emergency stop, by file and topic", MOTION): 0.1,
+    ("emergency stop, by the file alone", MOTION): 0.1,
+    ("emergency stop, by the topic alone", MOTION): 0.1,
+}
+"""What the configuration and the issue promise; printed beside what was measured."""
+
+
+class Bench:
+    """A moving cell, and what is told about it."""
+
+    def __init__(self, loop: ClosedLoop, witness: JointWitness) -> None:
+        self.loop, self.witness = loop, witness
+        self.times: dict[tuple[str, str], list[float]] = defaultdict(list)
+        self._told: deque[tuple[float, str, Health]] = deque(maxlen=200)
+        self._holds: deque[float] = deque(maxlen=200)
+        self._changed = threading.Condition()
+        link, namespace = loop.supervisor.link, loop.config.namespace
+        from std_msgs.msg import Bool
+        from trajectory_msgs.msg import JointTrajectory
+
+        from roboneuron.ros.qos import LATCHED
+
+        link.on_executor(
+            lambda: link.node.create_subscription(
+                JointTrajectory, f"/{namespace}/joint_trajectory", self._on_command, 100
+            )
+        )
+        self._publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
+        self.latch = EmergencyStopLatch(loop.supervisor.state_directory / FILE_NAME, time.time_ns)
+        self.watch = Watch(loop.supervisor.views, [self._on_health])
+        self.watch.start()
+
+    def _on_command(self, message: Any) -> None:
+        """A hold names the arm without its gripper."""
+        if "finger" not in message.joint_names:
+            with self._changed:
+                self._holds.append(time.monotonic())
+                self._changed.notify_all()
+
+    def _on_health(self, view: ModuleView, before: Health, health: Health) -> None:
+        with self._changed:
+            self._told.append((time.monotonic(), view.kind, health))
+            self._changed.notify_all()
+
+    def _first(self, find: Callable[[], float | None], timeout_s: float, what: str) -> float:
+        with self._changed:
+            if not self._changed.wait_for(lambda: find() is not None, timeout_s):
+                raise RuntimeError(f"not within {timeout_s:g} s: {what}")
+            found = find()
+        assert found is not None
+        return found
+
+    def noticed_s(self, kind: str, health: Health, since_s: float) -> float:
+        """When the watch told that a module is so."""
+        return self._first(
+            lambda: next((at for at, k, h in self._told if at >= since_s and (k, h) == (kind, health)), None),
+            3.0,
+            f"{kind} is {health}",
+        )
+
+    def held_s(self, since_s: float) -> float:
+        """When control commanded a hold."""
+        return self._first(lambda: next((at for at in self._holds if at >= since_s), None), 3.0, "control holds")
+
+    def driver_held_s(self, since_s: float) -> float:
+        """When the driver's hold was reported; reports come every 0.2 s, so that older ones tell of the time before."""
+
+        def holding() -> bool:
+            report = self.loop.supervisor.view("robot").report
+            return report is not None and report.received_s > since_s + 0.4 and report.note == "holding: no command"
+
+        if not self.loop.supervisor.changes.wait_for(holding, 3.0):
+            raise RuntimeError("not within 3 s: the driver holds")
+        return time.monotonic()
+
+    def ready(self) -> None:
+        """Wait until the arm moves well: by 5 mm within the last 0.3 s."""
+        deadline_s = time.monotonic() + 30.0
+        while time.monotonic() < deadline_s:
+            recent = [x for at, x in self.witness.joints() if at > time.monotonic() - 0.3]
+            if recent and max(recent) - min(recent) > 0.005:
+                return
+            time.sleep(0.01)
+        raise RuntimeError("the arm does not move")
+
+    def stood_s(self, since_s: float) -> float:
+        """Last motion after `since_s`, once the arm has stood for 0.4 s."""
+        deadline_s = time.monotonic() + 5.0
+        while not self.witness.stands():
+            if time.monotonic() > deadline_s:
+                raise RuntimeError("the arm does not stand")
+            time.sleep(0.01)
+        last = self.witness.moved_s()
+        assert last is not None
+        return max(0.0, last - since_s)
+
+    def note(self, fault: str, word: str, took_s: float) -> None:
+        """Keep one time."""
+        self.times[fault, word].append(took_s)
+
+    def kill(self, kind: ModuleKind) -> None:
+        """One crash, and the restart of that module."""
+        fault = f"{kind} killed"
+        process = self.loop.supervisor.view(kind).process
+        assert process is not None
+        self.ready()
+        at_s = time.monotonic()
+        os.kill(process.pid, signal.SIGKILL)
+        self.note(fault, NOTICE, self.noticed_s(kind, "exited", at_s) - at_s)
+        self.note(fault, HOLD, (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s)
+        self.note(fault, MOTION, self.stood_s(at_s))
+        if kind == "inference":
+            self.loop.start_inference(InferenceRequest(instruction="swing"), quiet)
+        elif kind == "perception":
+            self.loop.start_perception(None, (), {}, quiet)
+        else:
+            self.loop.start_control(None, {}, quiet)
+
+    def freeze(self) -> None:
+        """Inference is stopped, and goes on."""
+        process = self.loop.supervisor.view("inference").process
+        assert process is not None
+        self.ready()
+        at_s = time.monotonic()
+        os.kill(process.pid, signal.SIGSTOP)
+        try:
+            self.note("inference frozen", NOTICE, self.noticed_s("inference", "silent", at_s) - at_s)
+            self.note("inference frozen", HOLD, self.held_s(at_s) - at_s)
+            self.note("inference frozen", MOTION, self.stood_s(at_s))
+        finally:
+            os.kill(process.pid, signal.SIGCONT)
+
+    def press(self, way: str, press: Callable[[], object], release: Callable[[], object]) -> None:
+        """One emergency stop, and its reset."""
+        fault = f"emergency stop, {way}"
+        self.ready()
+        at_s = time.monotonic()
+        press()
+        self.note(fault, "call", time.monotonic() - at_s)
+        self.note(fault, HOLD, self.held_s(at_s) - at_s)
+        self.note(fault, MOTION, self.stood_s(at_s))
+        release()
+
+    def stops(self) -> None:
+        """One stop by each way."""
+        from std_msgs.msg import Bool
+
+        stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
+
+        def release() -> None:
+            self._publish(Bool(data=False))
+            stop.reset(namespace, who="bench", role="admin")
+
+        self.press("by file and topic", lambda: stop.latch(namespace, who="bench", reason="trial"), release)
+        self.press("by the file alone", lambda: self.latch.latch(who="bench", reason="trial"), release)
+        self.press("by the topic alone", lambda: self._publish(Bool(data=True)), release)
+
+
+def floor_s(trials: int) -> list[float]:
+    """Times from SIGKILL of a bare child to the return of the call that waits for it."""
+    times = []
+    for _ in range(trials):
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+        time.sleep(0.05)
+        at_s = time.monotonic()
+        child.kill()
+        child.wait()
+        times.append(time.monotonic() - at_s)
+    return times
+
+
+def main() -> None:
+    """Run every trial and print one table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=100, help="of each fault")
+    parser.add_argument("--json", type=Path, help="write the raw seconds here")
+    arguments = parser.parse_args()
+    progress = Console(stderr=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        with moving_cell(Path(scratch), 30.0, backend="steady") as (loop, witness):
+            bench = Bench(loop, witness)
+            try:
+                for trial in range(arguments.trials):
+                    for kind in ("inference", "perception", "control"):
+                        bench.kill(kind)  # type: ignore[arg-type]
+                    bench.freeze()
+                    bench.stops()
+                    progress.log(f"trial {trial + 1}/{arguments.trials}")
+            finally:
+                bench.watch.close()
+        times = {**bench.times, ("bare child killed", "floor"): floor_s(arguments.trials)}
+    table = Table(title=f"{arguments.trials} trials of each fault, arm moving at 30 Hz")
+    for head in ("fault", "what", "median [ms]", "p99 [ms]", "max [ms]", "bound [ms]"):
+        table.add_column(head)
+    for (fault, word), values in times.items():
+        median, p99, most = np.percentile(values, [50, 99, 100]) * 1e3
+        bound_s = BOUNDS_S.get((fault, word))
+        table.add_row(
+            fault, word, f"{median:.0f}", f"{p99:.0f}", f"{most:.0f}", "" if bound_s is None else f"{bound_s * 1e3:.0f}"
+        )
+    Console(width=130).print(table)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({f"{fault}: {word}": values for (fault, word), values in times.items()}))
+
+
+if __name__ == "__main__":
+    main()
