@@ -33,7 +33,8 @@ _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 now (2 to 50 ms, hundreds on an overloaded machine)."""
 _LATEST_S = 0.05
 _FIRST_S = 1.0
-_FIND_S = 5.0
+_FIND_S = 25.0
+"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to 20 s."""
 LISTENERS = "listeners."
 ARRIVAL_S = 0.5
 """A status may arrive before the action that it tells of."""
