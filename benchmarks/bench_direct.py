@@ -129,11 +129,18 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
     """A robot that no plugin knows, with that many endpoints."""
     lines = ["[robot]", 'name = "bench"', "[supervisor]", f'state_directory = "{folder / "state"}"']
     twist = 'kind = "publish"\ntype = "geometry_msgs/msg/Twist"'
-    stop = 'stop_message = "zero"\nrepeat_hz = 20.0' if repeat else ""
+    stop = 'stop_message = "zero"\nrepeat_hz = 20.0' if repeat else 'stop_message = ""'
     for index in range(endpoints):
         name, topic = ("velocity", "cmd_vel") if index == 0 else (f"wheel_{index}", f"part_{index}/cmd_vel")
         bounds = 'bounds = { "linear.x" = [-1, 1], "angular.z" = [-2, 2] }'
-        lines += ["[[expose]]", f'name = "{name}"', f'topic = "{topic}"', twist, bounds, stop if index == 0 else ""]
+        lines += [
+            "[[expose]]",
+            f'name = "{name}"',
+            f'topic = "{topic}"',
+            twist,
+            bounds,
+            stop if index == 0 else 'stop_message = ""',
+        ]
     path = folder / f"bench_{endpoints}_{repeat}.toml"
     path.write_text("\n".join(lines))
     return path

@@ -149,3 +149,13 @@ def test_the_output_schema_fits_what_is_decoded_of_every_message() -> None:
         if name.kind == "msg":
             part = load_message(str(name))
             jsonschema.validate(part.decode(part.ros_type()), decoded_schema(part), jsonschema.Draft202012Validator)
+
+
+def test_a_velocity_ends_in_zero_unless_the_configuration_says_otherwise() -> None:
+    def stop(more: str) -> str:
+        text = '[robot]\nname = "rover"\n[[expose]]\nname = "v"\n' + TWIST + more
+        return exposure(parse_config(text), fake_registry()).endpoints[0].endpoint.stop_message
+
+    assert (stop(""), stop('stop_message = ""\n')) == ("zero", "")
+    with pytest.raises(ConfigurationError, match="is zero"):
+        stop('bounds = { "linear.x" = [1, 2] }\n')

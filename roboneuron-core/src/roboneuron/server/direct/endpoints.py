@@ -16,6 +16,8 @@ from roboneuron.interfaces import Interface, MessageInterface, load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
 
+_VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Exposed:
@@ -169,6 +171,11 @@ def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
         yield made
 
 
+def is_velocity(kind: str, type_name: str) -> bool:
+    """Whether a robot goes on at what it was told until it is told something else, so that it has to end in zero."""
+    return kind == "publish" and type_name in _VELOCITIES
+
+
 def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
     """Whether a new endpoint takes joint commands that the robot's own joint limits can be applied to."""
     return kind == "publish" and type_name in JOINT_TYPES and profile is not None and profile.limits is not None
@@ -215,6 +222,8 @@ def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str]
         clamp=frozenset(entry.clamp),
     )
     stop = entry.stop_message if isinstance(entry.stop_message, str) else json.dumps(entry.stop_message)
+    if base is None and "stop_message" not in entry.model_fields_set and is_velocity(str(entry.kind), entry.type or ""):
+        stop = "zero"
     if base is None:
         missing = [key for key in ("kind", "topic", "type") if getattr(entry, key) is None]
         if missing:

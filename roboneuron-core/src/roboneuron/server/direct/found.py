@@ -11,12 +11,10 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.limits import number_fields
 from roboneuron.interfaces import load_interface
-from roboneuron.server.direct.endpoints import Exposed, is_joint_limited
+from roboneuron.server.direct.endpoints import Exposed, is_joint_limited, is_velocity
 
 OTHERS = "*"
 """Stands in `limits` for all numbers of a type that are not named."""
-_VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""A robot goes on at a velocity until it is told another one, so these end in zero."""
 
 
 def check_patterns(config: Config) -> None:
@@ -74,7 +72,7 @@ def limit(found: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) -> Ex
             f"nothing limits {listed} of {bare.type}.",
             hint=f'Give [discover.limits."{bare.type}"] a range for each or for "{OTHERS}", or list it in `unlimited`.',
         )
-    if limited.type in _VELOCITIES and limited.kind == "publish" and not limited.stop_message:
+    if is_velocity(limited.kind, limited.type) and not limited.stop_message:
         limited = replace(limited, stop_message="zero")
     return replace(found, endpoint=limited, clamp=lender.clamp if lender is not None else frozenset())
 
