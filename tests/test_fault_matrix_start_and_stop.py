@@ -1,0 +1,97 @@
+"""A row of the fault matrix: modules are started and stopped in every order, without waiting for one another."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import psutil
+import pytest
+
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.selection import InferenceRequest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from fault_loop import JointWitness, quiet, standing_loop
+
+sys.path.pop(0)
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+KINDS = ("robot", "perception", "control", "inference")
+Order = tuple[str, ...]
+
+
+def covering_orders(size: int) -> list[Order]:
+    """Few orders of all kinds among which any `size` of them stand in each order; chosen one by one, the best first."""
+    missing = set(itertools.permutations(KINDS, size))
+    chosen: list[Order] = []
+    while missing:
+        best = max(itertools.permutations(KINDS), key=lambda order: len(missing & parts(order, size)))
+        chosen.append(best)
+        missing -= parts(best, size)
+    return chosen
+
+
+def parts(order: Order, size: int) -> set[Order]:
+    """Every `size` of the order, as they follow each other."""
+    return set(itertools.combinations(order, size))
+
+
+def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
+    started_s = time.monotonic()
+    while not fact():
+        assert time.monotonic() - started_s < timeout_s, f"not within {timeout_s} s: {what}"
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop, JointWitness]]:
+    with standing_loop(tmp_path_factory.mktemp("orders"), 10.0) as made:
+        yield made
+
+
+def check(loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops: Sequence[str]) -> None:
+    """Start in one order, none waiting for another; stop in another one."""
+    work: dict[str, Callable[[], object]] = {
+        "robot": lambda: loop.start_robot(None, None, {}, quiet),
+        "perception": lambda: loop.start_perception(None, (), {}, quiet),
+        "control": lambda: loop.start_control(None, {}, quiet),
+        "inference": lambda: loop.start_inference(InferenceRequest(instruction="move on"), quiet),
+    }
+    with ThreadPoolExecutor(4) as pool:
+        begun = []
+        for kind in starts:
+            begun.append(pool.submit(work[kind]))
+            wait_until(lambda kind=kind: loop.supervisor.view(kind).process is not None, 10.0, f"{kind} is spawned")
+        for start in begun:
+            start.result(60.0)
+    wait_until(witness.moves, 10.0, "the arm moves")
+    pids = [view.process.pid for view in loop.supervisor.views() if view.process is not None]
+    assert len(pids) == 4
+    for kind in stops:
+        assert loop.stop(kind) is not None  # type: ignore[arg-type]
+        others = {view.kind: view.phase for view in loop.supervisor.views()}
+        assert "exited" not in others.values(), f"something ended by itself: {others}"
+    assert {view.phase for view in loop.supervisor.views()} == {"stopped"}
+    assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_orders_in_which_any_three_modules_stand_in_every_order(
+    cell: tuple[ClosedLoop, JointWitness], number: int
+) -> None:
+    orders = covering_orders(3)
+    assert len(orders) == 6
+    check(*cell, orders[number], orders[number - 1])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_every_order(cell: tuple[ClosedLoop, JointWitness]) -> None:
+    orders = list(itertools.permutations(KINDS))
+    for number, order in enumerate(orders):
+        check(*cell, order, orders[number * 7 % len(orders)])
