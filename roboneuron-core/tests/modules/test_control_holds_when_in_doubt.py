@@ -36,6 +36,8 @@ class Cell:
         self.actions = world.publisher(Float64MultiArray, "action")
         self.timer = world.node.create_timer(0.01, self.send_state)
         assert wait_until(lambda: self.value("ready") == "true")
+        topic = "joint_command" if self.control.settings.config.control.command == "joint_state" else "joint_trajectory"
+        assert wait_until(lambda: self.value(f"listeners.{topic}") == "1")
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds
@@ -193,5 +195,5 @@ def test_commands_can_be_joint_states(world: Any, wait_until: Callable[..., bool
     received = world.listen(JointState, "joint_command")
     cell = Cell(world, wait_until, extra='command = "joint_state"\n')
     cell.actions.publish(to_action_message(FORWARD))
-    assert wait_until(lambda: len(received) == 1)
+    assert wait_until(lambda: len(received) >= 1)  # a hold follows
     assert list(received[0].position) == pytest.approx([0.51, -0.5])

@@ -73,7 +73,7 @@ def server_environment(tmp_path: Path) -> dict[str, str]:
 def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
     """Return a function that writes a configuration and returns the command that serves it."""
 
-    def make(*, source: str = "ticking", start_timeout_s: float = 30.0) -> list[str]:
+    def make(*, source: str = "ticking", start_timeout_s: float = 60.0) -> list[str]:
         path = tmp_path / "roboneuron.toml"
         path.write_text(CONFIG.format(source=source, start_timeout_s=start_timeout_s, state=tmp_path / "state"))
         return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
