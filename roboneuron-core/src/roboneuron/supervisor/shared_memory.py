@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 SHARED_MEMORY = Path("/dev/shm")
 _PREFIX, _SUFFIX = "fastrtps_", "_el"
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
-_SEGMENT = re.compile(r"^fastrtps_[0-9a-f]{16}$")
+_SEGMENT = re.compile(r"^fastrtps_([0-9a-f]{16}|port\d+)$")
 LEAST_AGE_S = 60.0
 """A segment is made, locked and mapped one after the other: a young one may be on its way."""
 RECORD_NAME = "shared_memory"
@@ -46,24 +46,25 @@ def remove_stale(names: frozenset[str]) -> int:
 
 
 def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S) -> tuple[int, int]:
-    """Remove segments of this user whose owners were killed, of whatever program; returns how many, and their bytes.
+    """Remove files of this user whose owners were killed, of whatever program; returns how many, and their bytes.
 
-    Only what has not been touched for `least_age_s`, is locked by nobody and mapped by no living process. Ports are
-    left: their names are used again, and they are small.
+    Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living process. Ports matter
+    most: their names are used again, and who opens a dead one waits for its listener.
     """
     mapped = _mapped(directory)
     removed = size = 0
-    for lock_file in directory.glob(f"{_PREFIX}*{_SUFFIX}"):
-        name = lock_file.name.removesuffix(_SUFFIX)
-        if not _SEGMENT.match(name) or name in mapped:
+    for path in directory.glob(f"{_PREFIX}*"):
+        name = path.name.removesuffix(_SUFFIX)
+        if name in mapped or not _SEGMENT.match(name):
             continue
         with suppress(OSError):
-            found = lock_file.stat()
+            found = path.stat()
             if found.st_uid != os.getuid() or time.time() - found.st_mtime < least_age_s:
                 continue
             segment = directory / name
             held = segment.stat().st_size if segment.exists() else 0
-            if _remove_if_stale(name, directory):
+            has_lock = (directory / f"{name}{_SUFFIX}").exists()
+            if _remove_if_stale(name, directory) if has_lock else _remove(name, directory):
                 removed, size = removed + 1, size + held
     return removed, size
 
@@ -90,11 +91,15 @@ def _remove_if_stale(name: str, directory: Path = SHARED_MEMORY) -> bool:
     except OSError:
         return False
     else:
-        for path in (directory / name, directory / f"sem.{name}_mutex", lock_file):
-            path.unlink(missing_ok=True)
-        return True
+        return _remove(name, directory)
     finally:
         os.close(descriptor)
+
+
+def _remove(name: str, directory: Path) -> bool:
+    for file in (name, f"sem.{name}_mutex", f"{name}{_SUFFIX}", f"{name}_sl"):
+        (directory / file).unlink(missing_ok=True)
+    return True
 
 
 class SegmentRecord:
