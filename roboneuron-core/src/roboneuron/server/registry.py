@@ -106,24 +106,14 @@ class ToolRegistry:
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result."""
-        self._calls += 1
         try:
             tool = self._find(name)
             check_role(tool, context)
             if isinstance(tool, Tool) and tool.urgent is not None:
                 tool.urgent(arguments, context)
-            if self._calls > self._most_calls and not tool.always:
-                raise NotReadyError(
-                    f"{self._most_calls} calls are at work already, no more are taken.",
-                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
-                )
             if self._ready is not None:
                 await self._ready()
-            self._admit(tool, context)
-            if isinstance(tool, DerivedTool):
-                answer = await tool.handler(arguments, context)
-            else:
-                answer = await self._call_typed(tool, arguments, context)
+            answer = await self._carry_out(tool, arguments, context)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", _short(name), error.code, _clipped(str(error)))
             return _failure(error)
@@ -136,8 +126,6 @@ class ToolRegistry:
                     hint="The server's log has the details; get_status tells what is running.",
                 )
             )
-        finally:
-            self._calls -= 1
         structured = dict(answer.structured)
         content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
         content += [
@@ -145,6 +133,23 @@ class ToolRegistry:
             for p in answer.pictures
         ]
         return types.CallToolResult(content=content, structured_content=structured)
+
+    async def _carry_out(
+        self, tool: Tool[Any] | DerivedTool, arguments: Mapping[str, Any], context: CallContext
+    ) -> Answer:
+        self._calls += 1
+        try:
+            if self._calls > self._most_calls and not tool.always:
+                raise NotReadyError(
+                    f"{self._most_calls} calls are at work already, no more are taken.",
+                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
+                )
+            self._admit(tool, context)
+            if isinstance(tool, DerivedTool):
+                return await tool.handler(arguments, context)
+            return await self._call_typed(tool, arguments, context)
+        finally:
+            self._calls -= 1
 
     def _find(self, name: str) -> Tool[Any] | DerivedTool:
         derived = self._derived.get(name)
