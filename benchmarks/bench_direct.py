@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import random
 import subprocess
@@ -187,8 +188,8 @@ def publisher() -> Iterator[Any]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The value below which that share of them lies."""
-    return sorted(values)[min(len(values) - 1, int(share * len(values)))]
+    """The smallest value that this share of them does not exceed: of 100 values, p99 is the second largest."""
+    return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
 
 
 async def measure(size: int, calls: int, listener: Listener, folder: Path, publish: Any) -> dict[str, list[float]]:
