@@ -246,8 +246,9 @@ async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[l
             with anyio.CancelScope() as scope:
                 async with anyio.create_task_group() as group:
                     group.start_soon(lambda: client.call_tool("publish_velocity_sequence", {"steps": steps}))
-                    while len(listener.poll()) <= seen:
-                        await anyio.sleep(0.005)
+                    with anyio.fail_after(30):
+                        while len(listener.poll()) <= seen:
+                            await anyio.sleep(0.005)
                     await anyio.sleep(random.uniform(0.02, 0.12))
                     begun = time.monotonic_ns()
                     if index % 2:

@@ -272,3 +272,13 @@ def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
 
     anyio.run(scenario)
     assert latch.is_latched()
+
+
+def test_the_stop_message_does_not_wait_for_the_thread_that_plays(application: Application) -> None:
+    exposed = application.direct._exposure.endpoints[0]
+    latch = application.loop.emergency_stop.file
+    sent: list[tuple[bool, bool]] = []
+    with application.direct.desk.claim(exposed, "a test", threading.Event()) as motion:
+        motion.stop_now = lambda: sent.append((latch.is_latched(), latch.path.exists()))
+        latch.press(who="somebody", reason="a test")
+    assert sent == [(True, False)]

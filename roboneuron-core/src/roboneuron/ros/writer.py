@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
+
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.ros.live import offered_qos, qos_key
@@ -12,6 +16,7 @@ from roboneuron.ros.live import offered_qos, qos_key
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
+RCLError = rclpy_implementation.RCLError
 _POLL_S = 0.005
 _SETTLE_S = 0.03
 """After the first match: until the other side has matched too, a volatile message would be lost there."""
@@ -65,6 +70,14 @@ class TopicWriter:
     def publish(self, message: Any) -> None:
         """Send; `connect` has been called."""
         self._publisher.publish(message)
+
+    def publish_if_possible(self, message: Any) -> None:
+        """Send, unless ROS refuses: nothing is connected, or the context is closed."""
+        publisher = self._publisher
+        if publisher is None:
+            return
+        with suppress(RCLError, InvalidHandle):
+            publisher.publish(message)
 
     def close(self) -> None:
         """Take the publisher back; idempotent."""

@@ -156,6 +156,8 @@ def _play(
     began_s = due_s = time.monotonic()
     step, sent, failed = steps[0], 0, True
     failure: RoboNeuronError | None = None
+    if exposed.endpoint.stop_message:
+        motion.stop_now = lambda: writer.publish_if_possible(exposed.stop_message(time.time_ns()))
     try:
         for number, step in enumerate(steps, start=1):
             stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")

@@ -27,6 +27,8 @@ class Motion:
         self._halt = halt
         self._policy = policy
         self._end_reason = ""
+        self.stop_now: Callable[[], object] = lambda: None
+        """Sends the stop message; set while there is one to send, called by whoever presses the emergency stop."""
 
     def check(self) -> None:
         """Raise when it has to end.
@@ -53,8 +55,9 @@ class Motion:
             self._halt.wait(min(POLL_S, remaining_s))
 
     def wake(self) -> None:
-        """Look at the latch now; callable from any thread."""
+        """Stop now, whether or not the thread that plays this gets to run; it stops again when it does."""
         self._halt.set()
+        self.stop_now()
 
     def end(self, reason: str) -> None:
         """Have it end now; callable from any thread."""
