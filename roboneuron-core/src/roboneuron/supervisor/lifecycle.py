@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from roboneuron.supervisor.changes import Changes
 
 if TYPE_CHECKING:
-    from roboneuron.ros.link import RosLink
+    from roboneuron.ros.link import Call, RosLink
 
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Source: lifecycle_msgs/msg/Transition."""
+_BEFORE = {"configure": "unconfigured", "cleanup": "inactive", "activate": "inactive", "deactivate": "active"}
 _STATE_CALL_S = 1.0
+_LOST_S = 1.0
+"""A request that is not answered by then, though the node answers others and is where it was, did not reach it."""
 
 
 class LifecycleClient:
@@ -73,11 +76,19 @@ class LifecycleClient:
         from lifecycle_msgs.srv import ChangeState  # heavy
 
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
-        call = self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify)
-        if self._changes.wait_for(lambda: self._look(lambda: call.done), timeout_s):
-            return bool(call.response.success)
-        call.abandon()
-        return None
+        deadline_s = time.monotonic() + timeout_s
+        calls: list[Call] = []
+        while (remaining_s := deadline_s - time.monotonic()) > 0:
+            # One that was killed is in the graph for some seconds more: a request may have gone to it alone.
+            if not calls or self.state(min(_STATE_CALL_S, remaining_s)) == _BEFORE[name]:
+                calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
+            if self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s)):
+                break
+        made = _made(calls)
+        for call in calls:
+            if not call.done:
+                call.abandon()
+        return made
 
     def _look(self, fact: Callable[[], bool]) -> bool:
         if fact():
@@ -87,3 +98,12 @@ class LifecycleClient:
 
     def _name(self, service: str) -> str:
         return f"{self._node}/{service}"
+
+
+def _made(calls: Sequence[Call]) -> bool | None:
+    """Whether the node made the transition; None before the first answer.
+
+    Answers come in the order in which the node follows requests: a refusal comes first only when none was followed.
+    """
+    answers = [bool(call.response.success) for call in calls if call.done]
+    return any(answers) if answers else None
