@@ -242,6 +242,12 @@ async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[l
     async with Client(server(configuration(folder, 3, True))) as client:
         await client.list_tools()
         for index in range(count * 2):
+            with anyio.fail_after(30):  # until the motion before has let go of the robot, and its last message is here
+                while not (
+                    await client.call_tool("publish_velocity_sequence", {"steps": steps, "dry_run": True})
+                ).structured_content["allowed"]:
+                    await anyio.sleep(0.01)
+            await anyio.sleep(0.1)
             seen = len(listener.poll())
             with anyio.CancelScope() as scope:
                 async with anyio.create_task_group() as group:
