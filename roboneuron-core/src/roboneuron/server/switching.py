@@ -131,14 +131,11 @@ class WarmSwitch:
         try:
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
-            calls = [clients[1].send({ACT_FROM: moment_ns}), clients[0].send(leave)]
-            for client, call in zip(reversed(clients), calls, strict=True):
+            # The old one is told only when the new one knows: one that dies now disturbs nobody.
+            for client, values in ((clients[1], {ACT_FROM: moment_ns}), (clients[0], leave)):
                 left_s = (moment_ns - time.time_ns()) / 1e9 - _LATEST_S
-                try:
-                    refused = client.finish(call, max(0.0, left_s))
-                except NotReadyError:
-                    self._healthy(standby)  # a better reason, if there is one
-                    raise
+                call = client.send(values)
+                refused = client.finish(call, max(0.0, left_s), lambda: self._healthy(standby))
                 if refused:
                     raise StateError(f"A change-over was refused: {refused}.")
             if self._trial.is_due():

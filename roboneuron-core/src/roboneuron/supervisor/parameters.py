@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import NotReadyError
@@ -50,13 +50,22 @@ class ParameterClient:
 
         return self._link.call(SetParameters, f"{self._node}/set_parameters", _request(values), self._changes.notify)
 
-    def finish(self, call: Call, timeout_s: float) -> str:
+    def finish(self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
         """Wait for the answer; returns why the node refused, empty when it took the values.
+
+        Args:
+            check: called while waiting; raises to give up.
 
         Raises:
             NotReadyError: no answer in time.
         """
-        if not self._changes.wait_for(lambda: call.done, timeout_s):
+
+        def done() -> bool:
+            if not call.done:
+                check()
+            return call.done
+
+        if not self._changes.wait_for(done, timeout_s):
             call.abandon()
             raise NotReadyError(
                 f"{self._node} did not take its parameters within {timeout_s:.2g} s.",
