@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from weakref import WeakSet
 
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.process import ModuleProcess
@@ -42,7 +43,7 @@ class MemoryWatch:
     def __init__(self, supervisor: Supervisor, record: Record) -> None:
         self._supervisor = supervisor
         self._record = record
-        self._ended: set[int] = set()
+        self._ended: WeakSet[ModuleProcess] = WeakSet()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -66,7 +67,7 @@ class MemoryWatch:
 
     def _check(self, slot: Slot) -> None:
         process, choice = slot.process, slot.choice
-        if process is None or choice is None or process.exit_code is not None or process.pid in self._ended:
+        if process is None or choice is None or process.exit_code is not None or process in self._ended:
             return
         section = getattr(choice.settings.config, slot.kind)
         limit_mb = section.memory_limit_mb if section is not None else None
@@ -75,7 +76,7 @@ class MemoryWatch:
             return
         why = f"ended: it holds {used_mb:.0f} MB, [{slot.kind}] memory_limit_mb = {limit_mb} are allowed"
         log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
-        self._ended.add(process.pid)
+        self._ended.add(process)
         process.note(f"supervisor: {slot.kind} is {why}.")
         threading.Thread(target=_end, args=(process,), name=f"end-{slot.kind}", daemon=True).start()
         self._record(slot.kind, why)
