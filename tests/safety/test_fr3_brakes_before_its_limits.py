@@ -76,9 +76,9 @@ def test_direct_trajectories_are_held_to_the_same_bound() -> None:
         )
         return SimpleNamespace(joint_names=list(ARM_JOINTS), points=[point])
 
-    check_joints(robot, message(1.0, 1), start)
-    check_joints(robot, message(1.76, 20), start)
+    check_joints(robot, [message(1.0, 1)], start)
+    check_joints(robot, [message(1.76, 20)], start)
     with pytest.raises(RefusedError, match="so near to its limit"):
-        check_joints(robot, message(1.76, 2), start)
+        check_joints(robot, [message(1.76, 2)], start)
     with pytest.raises(RefusedError, match="farther from the limit"):
-        check_joints(robot, message(1.7836, 100), start)
+        check_joints(robot, [message(1.7836, 100)], start)
