@@ -282,3 +282,22 @@ def test_the_stop_message_does_not_wait_for_the_thread_that_plays(application: A
         motion.stop_now = lambda: sent.append((latch.is_latched(), latch.path.exists()))
         latch.press(who="somebody", reason="a test")
     assert sent == [(True, False)]
+
+
+def test_the_server_hears_its_own_stop_before_it_is_reset(
+    application: Application, ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop, link = application.loop.emergency_stop, application.supervisor.link
+    order: list[str] = []
+    reset, on_executor = stop.file.reset, link.on_executor
+    monkeypatch.setattr(stop.file, "reset", lambda **who: (order.append("reset"), reset(**who)))
+    monkeypatch.setattr(link, "on_executor", lambda task: (order.append("heard"), on_executor(task))[1])
+
+    async def scenario(agent: Any) -> None:
+        await agent.do("emergency_stop")
+        order.clear()
+        await agent.do("reset_emergency_stop")
+        assert order[:2] == ["heard", "heard"]
+        assert "reset" in order
+
+    ask(scenario)

@@ -22,6 +22,8 @@ from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
 from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
+_ROUNDS = 3
+"""Of the executor: what was published before the first has been delivered after the last."""
 CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period."""
 
@@ -121,6 +123,7 @@ class EmergencyStop:
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
+        self._hear_echoes()
         self._latch.reset(who=who, role=role, audit=self.audit)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
@@ -129,6 +132,12 @@ class EmergencyStop:
                 hint="Look at get_status; call reset_emergency_stop again.",
             )
         return confirmed, took_s
+
+    def _hear_echoes(self) -> None:
+        """Wait until our own messages were heard here too: after the reset they would press the stop again."""
+        if self._publishers:
+            for _ in range(_ROUNDS):
+                self._supervisor.link.on_executor(lambda: None)
 
     def _record_stop(self, who: str, reason: str) -> None:
         """A stop is never withheld for want of a record."""
