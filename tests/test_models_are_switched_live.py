@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,18 @@ def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
     }
 
 
+def publishes_actions(topics: dict[str, tuple[str, tuple[str, ...]]]) -> bool:
+    return topics.get("/fr3/action") == ("std_msgs/msg/Float64MultiArray", ("/fr3/inference",))
+
+
+async def seen_in(graph: Any, is_right: Callable[[dict[str, tuple[str, tuple[str, ...]]]], bool]) -> Any:
+    """The contract's topics once they are right, or after 10 s: an onlooker hears of endpoints later than modules."""
+    deadline_s = time.monotonic() + 10.0
+    while not is_right(topics := contract_topics(graph)) and time.monotonic() < deadline_s:
+        await anyio.sleep(0.05)
+    return topics
+
+
 def process_ids(status: dict[str, Any]) -> dict[str, int]:
     return {m["module"]: m["pid"] for m in status["modules"] if m["module"] != "inference"}
 
@@ -92,8 +105,8 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
             for module in ("robot", "perception", "control"):
                 await agent.call(f"start_{module}")
             await agent.call("start_inference", {"instruction": INSTRUCTION})
-            topics, processes = contract_topics(graph), process_ids(await agent.status())
-            assert topics["/fr3/action"] == ("std_msgs/msg/Float64MultiArray", ("/fr3/inference",))
+            topics, processes = await seen_in(graph, publishes_actions), process_ids(await agent.status())
+            assert publishes_actions(topics)
             for turn in turns:
                 await agent.call("switch_inference", turn)
                 status = await agent.status()
@@ -101,7 +114,7 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
                 assert inference["metrics"]["backend"] == turn["backend"]
                 assert inference["actions_for_instruction"] > 0
                 assert inference["instruction"] == INSTRUCTION
-                assert contract_topics(graph) == topics
+                assert await seen_in(graph, lambda now: now == topics) == topics
                 assert process_ids(status) == processes
             await agent.call("stop_all")
 

@@ -6,8 +6,8 @@ EE_POSE = "ee_pose"
 JOINT_TRAJECTORY = "joint_trajectory"
 JOINT_COMMAND = "joint_command"
 DIAGNOSTICS = "/diagnostics"
-WARM_UP = "warm_up"
-"""std_msgs/Empty under the robot's namespace: says nothing; opens the ways of a module that is about to take over."""
+WARM_UP = "_warm_up"
+"""std_msgs/Empty, hidden as ROS hides names with an underscore: says nothing; opens the ways of a module in shadow."""
 
 
 def camera_image(name: str) -> str:

@@ -8,6 +8,7 @@ act in time afterwards, the old one does again.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -35,6 +36,8 @@ _LATEST_S = 0.05
 _FIRST_S = 1.0
 _FIND_S = 25.0
 """A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to 20 s."""
+_LATE_S = 3.0
+"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine makes anything late."""
 LISTENERS = "listeners."
 ARRIVAL_S = 0.5
 """A status may arrive before the action that it tells of."""
@@ -62,6 +65,7 @@ class WarmSwitch:
         self._trial = trial
         self._kind = trial.kind
         self._on_stage = on_stage
+        self._late_since_s = math.inf
 
     def run(self) -> Change:
         """Start the new one in shadow, compare, change over, end the old one.
@@ -184,8 +188,12 @@ class WarmSwitch:
         if report is None:
             raise NotReadyError(f"The new {self._trial.noun} has fallen silent; nothing was replaced.")
         failure = report.failure()
+        if not isinstance(failure, NotReadyError):  # what is late may still be in time for the next input
+            self._late_since_s = math.inf
         if failure is not None:
-            raise failure
+            self._late_since_s = min(self._late_since_s, time.monotonic())
+            if not isinstance(failure, NotReadyError) or time.monotonic() - self._late_since_s > _LATE_S:
+                raise failure
         if self._supervisor.slot(self._kind).phase != "running":
             raise StateError(f"The running {self._trial.noun} has ended meanwhile; nothing was replaced.")
         return report
