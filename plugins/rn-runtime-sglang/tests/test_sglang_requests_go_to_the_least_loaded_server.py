@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import os
 import time
+from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
@@ -101,3 +104,13 @@ def _refused(runtime) -> bool:
     except NotReadyError as error:
         return "No server may be used" in str(error)
     return False
+
+
+def test_requests_go_out_of_a_process_with_thousands_of_open_files(launch, connect):
+    with ExitStack() as files:
+        for _ in range(1100):
+            files.enter_context(Path(os.devnull).open())
+        server = launch()
+        runtime = connect(server)
+        for _ in range(2):  # the second one looks whether its connection is still there
+            assert len(runtime.run(token_request()).tokens) == 7

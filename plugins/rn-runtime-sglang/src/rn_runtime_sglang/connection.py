@@ -80,7 +80,11 @@ class _TimedReader(io.RawIOBase):
 
 def _is_dropped(sock: socket.socket | None) -> bool:
     """Whether the other side has closed an idle connection, as servers do after a while."""
-    return sock is None or bool(select.select([sock], [], [], 0.0)[0])
+    if sock is None:
+        return True
+    readable = select.poll()  # select() knows no descriptor above 1023
+    readable.register(sock, select.POLLIN)
+    return bool(readable.poll(0))
 
 
 class Connection:
