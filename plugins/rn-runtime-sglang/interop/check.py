@@ -171,7 +171,7 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
     tiny, golden = Fixture.read(directory / "tiny"), Fixture.read(directory / "golden")
     limits = {"timeout_s": 20.0, "start_timeout_s": 900.0}
     managed = SglangRuntimeConfig(python=options.python.absolute(), device=options.device, dtype="float32", **limits)
-    os.environ[KEY_VARIABLE] = secrets.token_urlsafe(16)
+    os.environ[KEY_VARIABLE] = secrets.token_hex(16)
     server = ManagedServer(managed, tiny.checkpoint.path, os.environ[KEY_VARIABLE])
     started_s = time.monotonic()
     url = server.start()

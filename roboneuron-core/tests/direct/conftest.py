@@ -149,9 +149,10 @@ class Rover:
         self._thread.start()
 
     def _spin(self) -> None:
+        from rclpy.exceptions import InvalidHandle
         from rclpy.executors import ExternalShutdownException
 
-        with suppress(ExternalShutdownException):
+        with suppress(ExternalShutdownException, InvalidHandle):  # a last task may end while the executor is shut down
             self.executor.spin()
 
     def _note(self, message_type: type, topic: str, qos: Any) -> None:

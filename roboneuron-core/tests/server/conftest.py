@@ -100,9 +100,10 @@ class Wheels:
         self._thread.start()
 
     def _spin(self) -> None:
+        from rclpy.exceptions import InvalidHandle
         from rclpy.executors import ExternalShutdownException
 
-        with suppress(ExternalShutdownException):
+        with suppress(ExternalShutdownException, InvalidHandle):
             self.executor.spin()
 
     def close(self) -> None:

@@ -79,7 +79,7 @@ class SglangRuntime:
         self._model = model
 
     def _launch(self, model: PolicyModel) -> list[Access]:
-        key = secrets.token_urlsafe(24)
+        key = secrets.token_hex(24)  # never begins with "-", which an argument parser takes for an option
         self._managed = ManagedServer(self._config, model.checkpoint.resolve(), key)
         url = self._managed.start()
         return [Access(url=url, key=key, connect_timeout_s=self._config.connect_timeout_s)]

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, cast
 
 import rclpy
 from rclpy.client import Client
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -55,11 +56,13 @@ class RosLink:
         self._node: Any = None
         self._executor: Any = None
         self._thread: threading.Thread | None = None
+        self._is_closing = False
         self._clients: dict[tuple[type, str], Client] = {}
         self._lock = threading.Lock()
 
     def open(self) -> None:
         """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have run."""
+        self._is_closing = False
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = Node(
@@ -77,6 +80,7 @@ class RosLink:
         """Leave the graph; idempotent."""
         if self._thread is None:
             return
+        self._is_closing = True
         self._executor.shutdown(timeout_sec=2.0)
         self._thread.join(timeout=2.0)
         self._thread = None
@@ -163,3 +167,6 @@ class RosLink:
             self._executor.spin()
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
+        except InvalidHandle:
+            if not self._is_closing:  # the executor's own guard condition goes while its last task ends
+                raise
