@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import itertools
-import os
-import shutil
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
+
+from plugin_site import installed
 
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import InferenceRequest
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 PARTS = ("backend", "camera", "gantry", "memory", "camera_clock")
@@ -78,16 +76,6 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
     """
     keys = dict.fromkeys(("perception", "inference", "control", "supervisor", "camera"), "") | more
     return CONFIG.format(folder=folder, rate_hz=rate_hz, backend=backend, **keys)
-
-
-def install(site: Path) -> None:
-    """Make `fault_plugin` an installed plugin of whoever has `site` on its path."""
-    info = site / "rn_fault-1.0.dist-info"
-    info.mkdir(parents=True)
-    for module in ("fault_plugin.py", "fault_parts.py", "switch_plugin.py"):
-        shutil.copy(HERE / module, site)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-fault\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[roboneuron]\nrn-fault = fault_plugin\n")
 
 
 def fail(folder: Path, part: str, mode: str) -> None:
@@ -175,25 +163,9 @@ class JointWitness:
         return max((abs(b - a) for a, b in itertools.pairwise(places)), default=0.0)
 
 
-@contextmanager
-def environment(folder: Path) -> Iterator[None]:
+def environment(folder: Path) -> AbstractContextManager[None]:
     """This process and its children find the plugin, on a ROS domain of their own."""
-    if not (folder / "site").exists():
-        install(folder / "site")
-    site = str(folder / "site")
-    before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
-    os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (site, before["PYTHONPATH"] or "") if p)
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    os.environ["ROS_LOG_DIR"] = str(folder / "ros")
-    sys.path.insert(0, site)
-    try:
-        yield
-    finally:
-        sys.path.remove(site)
-        for key, value in before.items():
-            os.environ.pop(key, None)
-            if value is not None:
-                os.environ[key] = value
+    return installed(folder, "rn-fault", ("fault_plugin", "fault_parts", "switch_plugin"))
 
 
 def quiet(_: str) -> None:

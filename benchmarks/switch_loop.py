@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import sys
 import threading
 import time
 from collections import deque
@@ -14,12 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from plugin_site import installed
+
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import InferenceRequest
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 CONFIG = """
@@ -109,6 +107,15 @@ class Witness:
         with self._lock:
             return list(self._actions)
 
+    def more_actions(self, count: int = 5, timeout_s: float = 5.0) -> list[Sent]:
+        """Wait for `count` more actions; returns all. TimeoutError when they do not come."""
+        enough, deadline_s = len(self.actions()) + count, time.monotonic() + timeout_s
+        while len(actions := self.actions()) < enough:
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"not within {timeout_s:g} s: {count} more actions")
+            time.sleep(0.01)
+        return actions
+
     def stood_s(self) -> float:
         """For how long the first joint has stood, by what was measured; 0 while nothing is measured."""
         with self._lock:
@@ -128,43 +135,22 @@ class Witness:
             return list(self._commands)
 
 
-def install(site: Path) -> None:
-    """Make `switch_plugin` an installed plugin of this process and its children."""
-    info = site / "rn_switch-1.0.dist-info"
-    info.mkdir(parents=True)
-    shutil.copy(HERE / "switch_plugin.py", site)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-switch\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[roboneuron]\nrn-switch = switch_plugin\n")
-
-
 @contextmanager
 def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iterator[tuple[ClosedLoop, Witness]]:
     """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
 
     `camera_options` is TOML: more keys of the camera, and sections after it.
     """
-    if not (scratch / "site").exists():
-        install(scratch / "site")
-    site = str(scratch / "site")
-    before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
-    os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (site, before["PYTHONPATH"] or "") if p)
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    os.environ["ROS_LOG_DIR"] = str(scratch / "ros")
-    sys.path.insert(0, site)
-    config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))
-    supervisor = Supervisor(scratch / "state")
-    try:
-        loop = ClosedLoop(config, PluginCatalogue(), supervisor)
-        witness = Witness(supervisor, config.namespace)
-        loop.start_robot(None, None, {}, quiet)
-        loop.start_perception(None, (), {}, quiet)
-        loop.start_control(None, {}, quiet)
-        loop.start_inference(InferenceRequest(instruction="move on"), quiet)
-        yield loop, witness
-    finally:
-        supervisor.close()
-        sys.path.remove(site)
-        for key, value in before.items():
-            os.environ.pop(key, None)
-            if value is not None:
-                os.environ[key] = value
+    with installed(scratch, "rn-switch", ("switch_plugin",)):
+        config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))
+        supervisor = Supervisor(scratch / "state")
+        try:
+            loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            witness = Witness(supervisor, config.namespace)
+            loop.start_robot(None, None, {}, quiet)
+            loop.start_perception(None, (), {}, quiet)
+            loop.start_control(None, {}, quiet)
+            loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+            yield loop, witness
+        finally:
+            supervisor.close()

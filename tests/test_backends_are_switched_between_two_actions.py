@@ -31,13 +31,6 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
         time.sleep(0.01)
 
 
-def more_actions(witness: Witness, count: int = 5) -> list[Sent]:
-    """Wait for `count` more actions; returns all."""
-    before = len(witness.actions())
-    wait_until(lambda: len(witness.actions()) >= before + count, 5.0, f"{count} more actions")
-    return witness.actions()
-
-
 def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:
     """The last action of one backend and the first of the next."""
     return [(a, b) for a, b in pairwise(actions) if a.tag != b.tag]
@@ -66,7 +59,7 @@ def test_every_image_is_acted_on_once_while_backends_take_turns(tmp_path: Path, 
             assert switched.change.gap is not None
             assert switched.change.difference is not None
             assert switched.change.difference < 0.01
-        actions = more_actions(witness)
+        actions = witness.more_actions()
     changes = change_overs(actions)
     assert [b.tag for _, b in changes] == [2, 1]
     images = [action.image for action in actions]
@@ -109,7 +102,7 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[ClosedLoop, Witn
     assert "cancelled" in refused(loop, StateError, cancel)
     (tmp_path / "fail").touch()
     assert "fell over" in refused(loop, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail"))
-    actions = more_actions(witness)
+    actions = witness.more_actions()
     assert {action.tag for action in actions} == {1}
     times = [action.at_ns for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5e9
@@ -125,7 +118,7 @@ def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[ClosedL
             hang.touch()
 
     assert "the old one acts again" in refused(loop, NotReadyError, hang_new, hang_file=str(hang))
-    assert {action.tag for action in more_actions(witness)} == {1}
+    assert {action.tag for action in witness.more_actions()} == {1}
 
 
 def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[ClosedLoop, Witness]) -> None:
@@ -143,4 +136,4 @@ def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[ClosedLoo
     assert back.view.choice.names["backend"] == "first"
     assert back.view.report is not None
     assert back.view.report.instruction == "move further"
-    assert [b.tag for _, b in change_overs(more_actions(witness))] == [2, 1]
+    assert [b.tag for _, b in change_overs(witness.more_actions())] == [2, 1]

@@ -20,7 +20,7 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.testing.fakes import gantry_profile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from switch_loop import Sent, Witness, moving_loop, quiet
+from switch_loop import Witness, moving_loop, quiet
 
 sys.path.pop(0)
 
@@ -41,12 +41,6 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
         time.sleep(0.01)
 
 
-def more_actions(witness: Witness, count: int = 5) -> list[Sent]:
-    before = len(witness.actions())
-    wait_until(lambda: len(witness.actions()) >= before + count, 5.0, f"{count} more actions")
-    return witness.actions()
-
-
 def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], switch: Callable[[], object]) -> str:
     """Message of a switch that must fail and leave the present process at work."""
     before = loop.supervisor.view(kind).process
@@ -64,7 +58,7 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Cl
     loop, witness = cell
     with pytest.raises(StateError, match="no source to go back to"):
         loop.roll_back_perception("warm", quiet)
-    more_actions(witness)
+    witness.more_actions()
     switched = loop.switch_perception("other", (), {}, "warm", quiet)
     assert switched.view.choice is not None
     assert switched.view.choice.names["source"] == "other"
@@ -76,13 +70,13 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Cl
     back = loop.roll_back_perception("warm", quiet)
     assert back.view.choice is not None
     assert back.view.choice.names["source"] == "numbering"
-    actions = more_actions(witness)
+    actions = witness.more_actions()
     times = [action.at_ns / 1e9 for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5, "the backend was without images"
     cold = loop.switch_perception("other", (), {}, "cold", quiet)
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > gap.gap_s
-    more_actions(witness)
+    witness.more_actions()
 
 
 def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
@@ -112,12 +106,12 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, 
     assert "signal 9" in refused(loop, "perception", NotReadyError, switch(kill))
     with pytest.raises(InvalidInputError, match="needs the camera front"):
         loop.switch_perception("other", ("hand",), {}, "warm", quiet)
-    more_actions(witness)
+    witness.more_actions()
 
 
 def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[ClosedLoop, Witness]) -> None:
     loop, witness = cell
-    more_actions(witness, 10)
+    witness.more_actions(10)
     first = len(witness.commands())
     switched = loop.switch_control("faulty", {}, "warm", quiet)
     assert switched.view.choice is not None
@@ -131,7 +125,7 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[C
     back = loop.roll_back_control("warm", quiet)
     assert back.view.choice is not None
     assert back.view.choice.names["controller"] == "gantry"
-    more_actions(witness)
+    witness.more_actions()
     commands = witness.commands()[first:]
     assert max(b[0] - a[0] for a, b in pairwise(commands)) < 0.4e9, "the arm was without commands"
     at_s, target_m = np.array([c[0] for c in commands]) / 1e9, np.array([c[1] for c in commands])
@@ -170,6 +164,6 @@ def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[Closed
 
     text = refused(loop, "control", NotReadyError, switch(hang, mode_file=str(mode)))
     assert "changed over" in text or "acts again" in text or "did not take its parameters" in text
-    more_actions(witness)
+    witness.more_actions()
     first = len(witness.commands())
     wait_until(lambda: len(witness.commands()) >= first + 5, 5.0, "the arm is commanded")

@@ -1,0 +1,209 @@
+"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples of its processes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from fault_loop import PARTS, JointWitness, config_text, environment, fail
+from mcp import Client, StdioServerParameters
+
+from roboneuron.ros.environment import prepare_environment
+
+SETTLE_S = 3.0
+"""A process younger than this is still loading: not sampled."""
+
+
+class Agent:
+    """The MCP client; calls block."""
+
+    def __init__(self, client: Client, portal: BlockingPortal) -> None:
+        self._client, self._portal = client, portal
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """Structured content of a call; RuntimeError with the server's reason when it fails."""
+        answer = self._portal.call(self._client.call_tool, tool, arguments)
+        if answer.is_error:
+            raise RuntimeError(f"{tool}: {answer.content[0].text}")
+        return dict(answer.structured_content or {})
+
+    def modules(self) -> dict[str, dict[str, Any]]:
+        """get_status by module."""
+        return {module["module"]: module for module in self.do("get_status")["modules"]}
+
+
+def until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
+    """Wait for a fact; RuntimeError when it does not come true in time."""
+    deadline_s = time.monotonic() + timeout_s
+    while not fact():
+        if time.monotonic() > deadline_s:
+            raise RuntimeError(f"not within {timeout_s:g} s: {what}")
+        time.sleep(0.05)
+
+
+class Cell:
+    """The loop under test, its faults and its joints."""
+
+    def __init__(self, agent: Agent, witness: JointWitness, folder: Path, server: psutil.Process) -> None:
+        self.agent, self.witness, self.folder, self.server = agent, witness, folder, server
+        self._segments: set[str] = set()
+
+    def pid(self, kind: str) -> int:
+        """Of the module's process now."""
+        pid = self.agent.modules()[kind]["pid"]
+        assert isinstance(pid, int)
+        return pid
+
+    def start(self) -> None:
+        """Start everything."""
+        for kind in ("robot", "perception", "control"):
+            self.agent.do(f"start_{kind}")
+        self.agent.do("start_inference", instruction="swing")
+        until(self.witness.moves, 10.0, "the arm moves")
+
+    def wrong_part(self, part: str, mode: str, duration_s: float, stands: bool = True) -> None:
+        """A part misbehaves for a while; the arm stands meanwhile, and moves afterwards by itself."""
+        fail(self.folder, part, mode)
+        try:
+            if stands:
+                until(self.witness.stands, duration_s + 2.0, "the arm stands")
+            else:
+                time.sleep(duration_s)
+        finally:
+            fail(self.folder, part, "")
+
+    def frozen(self, kind: str, duration_s: float) -> None:
+        """A process is stopped for a while."""
+        pid = self.pid(kind)
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            until(
+                lambda: self.agent.modules()[kind]["health"] in ("silent", "exited", "starting"), 2.0, "it is noticed"
+            )
+            time.sleep(duration_s)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+    def killed(self, kind: str, agent_starts: bool) -> None:
+        """A process dies; perception comes back by itself, what moves the arm when the agent says so."""
+        pid = self.pid(kind)
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: self.agent.modules()[kind]["pid"] != pid, 2.0, "it is noticed")
+        until(self.witness.stands, 3.0, "the arm stands")
+        if agent_starts:
+            time.sleep(1.0)  # long enough for a restart that must not happen
+            if self.agent.modules()[kind]["phase"] != "exited":
+                raise RuntimeError(f"{kind} came back by itself")
+            more = {"instruction": "swing"} if kind == "inference" else {}
+            self.agent.do(f"start_{kind}", **more)
+
+    def stopped(self) -> None:
+        """The emergency stop, and its reset."""
+        self.agent.do("emergency_stop", reason="soak")
+        until(self.witness.stands, 2.0, "the arm stands")
+        self.agent.do("reset_emergency_stop")
+
+    def faults(self) -> dict[str, Callable[[], None]]:
+        """What can be done to it."""
+        return {
+            "backend raises": lambda: self.wrong_part("backend", "raise", 1.0),
+            "backend hangs": lambda: self.wrong_part("backend", "hang", 1.0),
+            "backend answers after 250 ms": lambda: self.wrong_part("backend", "250", 2.0, stands=False),
+            "camera repeats its image": lambda: self.wrong_part("camera", "frozen", 1.0),
+            "camera's clock jumps": lambda: self.wrong_part("camera_clock", "10", 1.0),
+            "joint states are NaN": lambda: self.wrong_part("gantry", "nan", 1.0),
+            "joint states are stale": lambda: self.wrong_part("gantry", "stale", 1.0),
+            "perception frozen for 0.5 s": lambda: self.frozen("perception", 0.5),
+            "perception frozen for 4 s": lambda: self.frozen("perception", 4.0),
+            "control frozen for 0.5 s": lambda: self.frozen("control", 0.5),
+            "robot frozen for 0.5 s": lambda: self.frozen("robot", 0.5),
+            "perception killed": lambda: self.killed("perception", agent_starts=False),
+            "inference killed": lambda: self.killed("inference", agent_starts=True),
+            "control killed": lambda: self.killed("control", agent_starts=True),
+            "emergency stop": self.stopped,
+        }
+
+    def is_well(self) -> bool:
+        """Everything works and the arm moves."""
+        healthy = all(module["health"] == "ok" for module in self.agent.modules().values())
+        return healthy and self.witness.moves()
+
+    def switch(self) -> str:
+        """Change the backend, warm; returns what was measured."""
+        now = self.agent.modules()["inference"]["started_with"]["backend"]
+        result = self.agent.do("switch_inference", backend="steadier" if now == "steady" else "steady")
+        return f"gap {(result.get('gap_s') or 0.0) * 1e3:.0f} ms, missed {result.get('missed_actions')}"
+
+    def sample(self) -> dict[tuple[str, str], float]:
+        """Quantities by process; of processes that have settled."""
+        found: dict[tuple[str, str], float] = {}
+        processes = {"server": self.server}
+        for kind, module in self.agent.modules().items():
+            if module["phase"] == "running" and module["pid"]:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    processes[kind] = psutil.Process(module["pid"])
+        for name, process in processes.items():
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.ZombieProcess):
+                if time.time() - process.create_time() < SETTLE_S:
+                    continue
+                memory = process.memory_info()
+                found[name, "memory_mb"] = (memory.rss - memory.shared) / 1e6
+                found[name, "handles"] = process.num_fds()
+                found[name, "threads"] = process.num_threads()
+        for process in processes.values():
+            self._segments |= _mapped(process.pid)
+        sizes = [size for name in self._segments if (size := _size(Path("/dev/shm") / name)) is not None]
+        found["all", "shm_files"], found["all", "shm_mb"] = len(sizes), sum(sizes) / 1e6
+        return found
+
+
+def _size(path: Path) -> int | None:
+    with contextlib.suppress(OSError):
+        return path.stat().st_blocks * 512
+    return None
+
+
+def _mapped(pid: int) -> set[str]:
+    """Names of the shared-memory files that a process maps; what one that was killed leaves behind is among them."""
+    names: set[str] = set()
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+            if "/dev/shm/fastrtps" in line and "(deleted)" not in line:
+                names.add(line.rsplit("/dev/shm/", 1)[1])
+    return names
+
+
+@contextlib.contextmanager
+def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Iterator[Cell]:
+    """A server with the faulty gantry, an agent and a witness; everything is ended."""
+    camera = f"width = {size_px[0]}\nheight = {size_px[1]}"
+    supervisor = "unresponsive_s = 1.5\nrestart_limit = 100"
+    text = config_text(folder, rate_hz, backend="steady", camera=camera, supervisor=supervisor)
+    path = folder / "roboneuron.toml"
+    path.write_text(text)
+    for part in PARTS:
+        fail(folder, part, "")
+    with environment(folder):
+        prepare_environment(folder / "log")
+        from roboneuron.ros.link import RosLink  # heavy
+
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
+        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+        link = RosLink("witness")
+        link.open()
+        try:
+            witness = JointWitness(link.node, link.on_executor)
+            with start_blocking_portal() as portal, portal.wrap_async_context_manager(Client(server)) as client:
+                agent = Agent(client, portal)
+                yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
+        finally:
+            link.close()
