@@ -15,12 +15,14 @@ import time
 from roboneuron.errors import CheckpointError, UngroundedError
 from roboneuron.modules.lifeline import follow_parent, watch_stdin
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings, StatusKey
+from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 
 parent = os.getppid()
 follow_parent(parent)
 prepare_environment()
 settings = ModuleSettings.model_validate_json(sys.stdin.buffer.raw.readline())  # type: ignore[attr-defined]
+held = claim(f"/{settings.status_name}", LEAVE_S)
 fault = str(settings.config.options("fault").get(settings.kind, ""))
 print(f"fake {settings.kind} with fault {fault!r}", flush=True)
 if fault == "dies-at-once":

@@ -10,8 +10,10 @@ import threading
 
 from pydantic import ValidationError
 
+from roboneuron.errors import StateError
 from roboneuron.modules.lifeline import follow_parent, watch_stdin
 from roboneuron.modules.settings import ModuleSettings
+from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 
 
@@ -85,7 +87,12 @@ def main() -> None:
         settings = ModuleSettings.model_validate_json(_read_line())
     except ValidationError as error:
         sys.exit(f"The settings are not valid: {error}")
-    _run(settings)
+    try:
+        held = claim(f"/{settings.status_name}", LEAVE_S)
+    except StateError as error:
+        sys.exit(f"{error.message} {error.hint}")
+    with held:
+        _run(settings)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.view import ModuleView
 
 SwitchMode = Literal["warm", "cold"]
+_FIRST_S = 3.0
+"""A newcomer hears of the next input within this time, on a busy machine too."""
 Start = Callable[[ModuleKind, Selection, Stage], ModuleView]
 
 
@@ -92,6 +94,7 @@ class Replacing:
     def _cold(self, replaced: Selection, selection: Selection, trial: Trial, on_stage: Stage) -> Change:
         """Stop the old one, then start the new one: for a machine, or a device, that has no room for two."""
         kind = trial.kind
+        due = trial.is_due()
         on_stage(f"{kind}: stopping the old {trial.noun}")
         stopped = self._supervisor.stop(kind)
         last = stopped.report if stopped is not None else None
@@ -101,10 +104,11 @@ class Replacing:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
             error.hint = f"{error.hint} No {trial.noun} is running now; before there was {before}.".strip()
             raise
-        return Change(
-            gap=self._supervisor.changes.wait_for(lambda: trial.measure(last, self._newest(kind)), ARRIVAL_S),
-            difference=None,
-        )
+        changes = self._supervisor.changes
+        if due:  # a start is complete before the first output where that waits for somebody else's
+            changes.wait_for(lambda: (new := self._newest(kind)) is not None and trial.has_taken_over(new), _FIRST_S)
+        gap = changes.wait_for(lambda: trial.measure(last, self._newest(kind)), ARRIVAL_S)
+        return Change(gap=gap, difference=None)
 
     def _newest(self, kind: ModuleKind) -> Report | None:
         return self._supervisor.view(kind).report

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError, StateError
+from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.settings import ModuleSettings
+from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.lifecycle import LifecycleClient
@@ -120,13 +121,18 @@ class Bringup:
             raise self._too_late(report.waiting_for if report and report.waiting_for else "its first output")
 
     def _check_alone(self) -> None:
-        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's robot."""
-        pid = self._board.stranger(self._name)
-        if pid is not None:
-            raise StateError(
-                f"/{self._name} runs already, as process {pid} of somebody else.",
-                hint="Stop that server, or give this one another [robot] namespace or ROS_DOMAIN_ID.",
-            )
+        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's robot.
+
+        One on this machine is known at once, one on another by its status. What an ended server has left behind is
+        given the time that it may take to leave.
+        """
+        if not self._changes.wait_for(lambda: self._other() is None, LEAVE_S):
+            raise runs_already(f"/{self._name}", self._other() or 0)
+
+    def _other(self) -> int | str | None:
+        """Process id of another node of our name."""
+        holder = claimant(f"/{self._name}")
+        return holder if holder not in (None, self._process.pid) else self._board.stranger(self._name)
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         report = self._report()
