@@ -102,6 +102,12 @@ class Witness:
             lambda: node.create_subscription(JointTrajectory, f"/{namespace}/joint_trajectory", on_command, qos)
         )
 
+    def forget(self) -> None:
+        """Begin anew: actions and commands count from now on."""
+        with self._lock:
+            self._actions.clear()
+            self._commands.clear()
+
     def actions(self) -> list[Sent]:
         """All actions so far."""
         with self._lock:

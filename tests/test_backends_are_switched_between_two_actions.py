@@ -36,30 +36,17 @@ def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:
     return [(a, b) for a, b in pairwise(actions) if a.tag != b.tag]
 
 
-@pytest.fixture(params=[10.0, 30.0], ids=["10Hz", "30Hz"])
-def rate_hz(request: pytest.FixtureRequest) -> float:
-    return float(request.param)
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> Iterator[tuple[ClosedLoop, Witness]]:
-    with moving_loop(tmp_path, 10.0) as made:
-        yield made
-
-
-def test_every_image_is_acted_on_once_while_backends_take_turns(tmp_path: Path, rate_hz: float) -> None:
-    with moving_loop(tmp_path, rate_hz) as (loop, witness):
-        for turn in range(2):
-            backend = ("second", "first")[turn % 2]
-            switched = loop.switch_inference(InferenceRequest(backend=backend), "warm", quiet)
-            assert switched.view.choice is not None
-            assert switched.view.choice.names["backend"] == backend
-            assert switched.view.report is not None
-            assert switched.view.report.instruction == "move on"
-            assert switched.change.gap is not None
-            assert switched.change.difference is not None
-            assert switched.change.difference < 0.01
-        actions = witness.more_actions()
+def check_turns(loop: ClosedLoop, witness: Witness) -> None:
+    for backend in ("second", "first"):
+        switched = loop.switch_inference(InferenceRequest(backend=backend), "warm", quiet)
+        assert switched.view.choice is not None
+        assert switched.view.choice.names["backend"] == backend
+        assert switched.view.report is not None
+        assert switched.view.report.instruction == "move on"
+        assert switched.change.gap is not None
+        assert switched.change.difference is not None
+        assert switched.change.difference < 0.01
+    actions = witness.more_actions()
     changes = change_overs(actions)
     assert [b.tag for _, b in changes] == [2, 1]
     images = [action.image for action in actions]
@@ -67,6 +54,37 @@ def test_every_image_is_acted_on_once_while_backends_take_turns(tmp_path: Path, 
     # On a machine that is too busy for the rate, images are skipped all the time; a change-over must not add to that.
     usual = max(b.image - a.image for a, b in pairwise(actions) if a.tag == b.tag)
     assert max(b.image - a.image for a, b in changes) <= usual
+
+
+def test_every_image_is_acted_on_once_while_backends_take_turns_at_30_hz(tmp_path: Path) -> None:
+    with moving_loop(tmp_path, 30.0) as (loop, witness):
+        check_turns(loop, witness)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop, Witness]]:
+    with moving_loop(tmp_path_factory.mktemp("loop"), 10.0) as made:
+        yield made
+
+
+@pytest.fixture
+def cell(built: tuple[ClosedLoop, Witness]) -> tuple[ClosedLoop, Witness]:
+    """The loop of the module with the first backend at work; the witness has seen nothing yet."""
+    loop, witness = built
+    choice = loop.supervisor.view("inference").choice
+    assert choice is not None
+    assert choice.names["backend"] == "first"
+    witness.forget()
+    return built
+
+
+def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[ClosedLoop, Witness]) -> None:
+    with pytest.raises(StateError, match="none was replaced"):
+        cell[0].roll_back_inference("warm", quiet)
+
+
+def test_every_image_is_acted_on_once_while_backends_take_turns_at_10_hz(cell: tuple[ClosedLoop, Witness]) -> None:
+    check_turns(*cell)
 
 
 def refused(loop: ClosedLoop, error: type[RoboNeuronError], on_stage: Callable[[str], None], **options: object) -> str:
@@ -123,8 +141,6 @@ def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[ClosedL
 
 def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[ClosedLoop, Witness]) -> None:
     loop, witness = cell
-    with pytest.raises(StateError, match="none was replaced"):
-        loop.roll_back_inference("warm", quiet)
     loop.set_instruction("move further", 5.0)
     cold = loop.switch_inference(InferenceRequest(backend="second"), "cold", quiet)
     assert cold.change.gap is not None

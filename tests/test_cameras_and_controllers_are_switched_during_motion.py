@@ -28,10 +28,17 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 RATE_HZ = 20.0
 
 
-@pytest.fixture
-def cell(tmp_path: Path) -> Iterator[tuple[ClosedLoop, Witness]]:
-    with moving_loop(tmp_path, RATE_HZ) as made:
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop, Witness]]:
+    with moving_loop(tmp_path_factory.mktemp("loop"), RATE_HZ) as made:
         yield made
+
+
+@pytest.fixture
+def cell(built: tuple[ClosedLoop, Witness]) -> tuple[ClosedLoop, Witness]:
+    """The loop of the module with whatever the test before left at work; the witness has seen nothing yet."""
+    built[1].forget()
+    return built
 
 
 def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -54,10 +61,13 @@ def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], sw
     return str(caught.value)
 
 
+def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[ClosedLoop, Witness]) -> None:
+    with pytest.raises(StateError, match="no source to go back to"):
+        cell[0].roll_back_perception("warm", quiet)
+
+
 def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[ClosedLoop, Witness]) -> None:
     loop, witness = cell
-    with pytest.raises(StateError, match="no source to go back to"):
-        loop.roll_back_perception("warm", quiet)
     witness.more_actions()
     switched = loop.switch_perception("other", (), {}, "warm", quiet)
     assert switched.view.choice is not None

@@ -198,6 +198,7 @@ class Rover:
         """Leave the graph."""
         self.executor.shutdown(timeout_sec=2.0)
         self._thread.join(timeout=2.0)
+        self.server.destroy()  # it would keep the node on the graph, for the next test to meet
         self.node.destroy_node()
         self.context.try_shutdown()
 

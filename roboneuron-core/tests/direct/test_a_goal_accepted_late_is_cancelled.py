@@ -65,6 +65,7 @@ def slow(rover: Any) -> Iterator[SlowServer]:
     server.may_accept.set()
     if server.asked.is_set():
         server.ended.wait(15)
+    server.server.destroy()
 
 
 @pytest.mark.parametrize("cause", ["cancel", "stop"])

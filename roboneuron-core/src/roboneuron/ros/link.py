@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -85,6 +86,9 @@ class RosLink:
         self._thread.join(timeout=2.0)
         self._thread = None
         self._clients.clear()
+        for waitable in tuple(self._node.waitables):  # an action client would keep the node on the graph
+            if isinstance(waitable, ActionClient):
+                waitable.destroy()
         self._node.destroy_node()
         self._context.try_shutdown()
 

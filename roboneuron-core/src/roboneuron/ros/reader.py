@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.ros.live import requested_qos
 
 if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
     from roboneuron.ros.link import RosLink
 
 _POLL_S = 0.02
@@ -39,25 +42,18 @@ def read_messages(
 ) -> Reading:  # fmt: skip
     """Subscribe, take the next `count` messages or what came in time, and unsubscribe; blocks.
 
+    As long as nothing has come, the subscription follows who publishes: one that left a moment ago, and is still on the
+    graph, does not decide for its successor.
+
     Raises:
         ConfigurationError: the topic carries another type.
         Cancelled: `cancelled` was set.
     """
     deadline_s = time.monotonic() + timeout_s
     reading = Reading()
-    while True:
-        infos = list(link.node.get_publishers_info_by_topic(topic))
-        foreign = [info.topic_type for info in infos if info.topic_type != type_name]
-        if foreign:
-            raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, it is exposed as {type_name}.")
-        if infos:
-            break
-        if time.monotonic() >= deadline_s:
-            return reading
-        if cancelled.wait(_POLL_S):
-            raise Cancelled
-    reading.publishers = len(infos)
     complete = threading.Event()
+    unsubscribe: Callable[[], None] | None = None
+    subscribed: QoSProfile | None = None
 
     def take(message: Any) -> None:
         if len(reading.messages) < count:
@@ -65,16 +61,27 @@ def read_messages(
         if len(reading.messages) >= count:
             complete.set()
 
-    unsubscribe = link.subscribe(message_type, topic, take, requested_qos(infos, count))
     try:
-        while not complete.wait(min(_POLL_S, max(0.0, deadline_s - time.monotonic()))):
+        while True:
+            infos = [] if reading.messages else list(link.node.get_publishers_info_by_topic(topic))
+            foreign = [info.topic_type for info in infos if info.topic_type != type_name]
+            if foreign:
+                raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, it is exposed as {type_name}.")
+            if infos:
+                reading.publishers = len(infos)
+                wanted = requested_qos(infos, count)
+                if wanted != subscribed:
+                    if unsubscribe is not None:
+                        unsubscribe()
+                    unsubscribe, subscribed = link.subscribe(message_type, topic, take, wanted), wanted
+            remaining_s = deadline_s - time.monotonic()
+            if complete.wait(max(0.0, min(_POLL_S, remaining_s))) or remaining_s <= 0:
+                return reading
             if cancelled.is_set():
                 raise Cancelled
-            if time.monotonic() >= deadline_s:
-                break
     finally:
-        unsubscribe()
-    return reading
+        if unsubscribe is not None:
+            unsubscribe()
 
 
 class NewestMessage:
