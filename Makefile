@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 ARGS ?=
+JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
@@ -15,7 +16,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-all check format bench soak bench-vla interop interop-sglang clean
+.PHONY: help demo demo-bases test test-units test-ros test-all check format bench soak bench-vla interop interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -26,8 +27,13 @@ demo: $(VENV)/.demo ## an agent picks up a cube with a simulated FR3
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
 
-test: $(VENV)/.develop ## the default test suite
-	$(BIN)/python -m pytest -m "not gpu and not hardware and not slow" $(ARGS)
+test: test-units test-ros ## the default test suite
+
+test-units: $(VENV)/.develop ## its tests without ROS processes, JOBS at a time
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not ros and not gpu and not hardware and not slow" $(ARGS)
+
+test-ros: $(VENV)/.develop ## its tests with ROS processes, one at a time: they keep time
+	$(BIN)/python -m pytest -m "ros and not gpu and not hardware and not slow" $(ARGS)
 
 test-all: $(VENV)/.develop ## the default suite and the slow tests
 	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)
@@ -91,6 +97,6 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
 	$(PIP) torch==2.13.0
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)) \
-	  pytest pytest-timeout hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
+	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases

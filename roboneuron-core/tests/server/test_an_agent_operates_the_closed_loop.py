@@ -159,7 +159,7 @@ def test_a_camera_that_never_delivers_is_named_and_a_cancelled_start_leaves_noth
         assert code == "not_ready"
         assert "is the robot running?" in text
 
-    run_agent(serve_command(source="silent", start_timeout_s=12.0), server_environment, scenario, mode="legacy")
+    run_agent(serve_command(source="silent", start_timeout_s=7.0), server_environment, scenario, mode="legacy")
 
 
 def test_a_killed_module_shows_with_its_exit_and_can_be_started_again(
