@@ -141,7 +141,7 @@ class Cell:
         """Change the backend, warm; returns what was measured."""
         now = self.agent.modules()["inference"]["started_with"]["backend"]
         result = self.agent.do("switch_inference", backend="steadier" if now == "steady" else "steady")
-        return f"gap {(result.get('gap_s') or 0.0) * 1e3:.0f} ms, missed {result.get('missed_actions')}"
+        return f"gap {(result.get('gap_s') or 0.0) * 1e3:.0f} ms, missed {result['missed']}"
 
     def sample(self) -> dict[tuple[str, str], float]:
         """Quantities by process; of processes that have settled."""
