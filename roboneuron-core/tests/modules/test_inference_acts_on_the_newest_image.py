@@ -95,6 +95,34 @@ def test_image_from_the_future_is_never_acted_on(build: Callable[..., Cell]) -> 
     assert cell.wait_until(lambda: len(cell.actions) == 1), "clocks of two machines are never quite the same"
 
 
+@pytest.mark.parametrize(("old", "said"), [("ee_pose", "end-effector pose"), ("joint_state", "joint state")])
+def test_old_proprioception_is_never_acted_on(build: Callable[..., Cell], old: str, said: str) -> None:
+    """A control that died leaves its last pose behind; steps reckoned from that would never end."""
+    cell = build("picky", replace={'instruction = "go"': 'instruction = "the red one"'})
+    states = cell.world.publisher(JointState, "joint_states")
+    poses = cell.world.publisher(PoseStamped, "ee_pose")
+
+    def send_all(age_s: float = 0.0) -> None:
+        now_ns = cell.world.node.get_clock().now().nanoseconds
+        ages_ns = {"joint_state": 0, "ee_pose": 0, old: int(age_s * 1e9)}
+        joints = JointSample(names=("a",), position=np.zeros(1), stamp_ns=now_ns - ages_ns["joint_state"])
+        states.publish(to_joint_state(joints))
+        upright = np.array([0, 0, 0, 1.0])
+        pose = Pose(position_m=np.zeros(3), quaternion_xyzw=upright, stamp_ns=now_ns - ages_ns["ee_pose"])
+        poses.publish(to_pose_stamped(pose, "base"))
+        time.sleep(0.02)
+        cell.send_image()
+
+    assert cell.wait_until(lambda: send_all() is None and len(cell.actions) > 0)
+    time.sleep(0.1)
+    sent = len(cell.actions)
+    refused = f"dropped.old_{old}"
+    assert cell.wait_until(lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"], 4.0)
+    assert int(cell.status()[refused]) > 2
+    assert len(cell.actions) == sent
+    assert cell.wait_until(lambda: send_all() is None and len(cell.actions) > sent)
+
+
 def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(build: Callable[..., Cell]) -> None:
     old, new = 'instruction = "go"', 'instruction = "go"\nmax_image_age_s = 0.2'
     cell = build("slow", replace={old: new})

@@ -54,7 +54,7 @@ class InferenceConfig(Section):
     acceleration: Name | None = Field(default=None, description="acceleration preset; none when not given")
     instruction: str = Field(default="", description="what to do; can be set later")
     cameras: dict[str, CameraName] = Field(default_factory=dict, description="camera name by role of the backend")
-    max_image_age_s: Seconds = Field(default=0.5, description="older images are never acted on")
+    max_image_age_s: Seconds = Field(default=0.5, description="older images, joint states and poses are never acted on")
     switch_max_difference: Annotated[float, Field(gt=0)] = Field(
         default=0.25, description="a warm switch to actions that differ more [m or rad] is refused"
     )

@@ -40,6 +40,11 @@ _PACE = 0.8
 """The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
 """Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
+_SOURCES = {
+    "image": ("image", "perception"),
+    "joint_state": ("joint state", "the robot"),
+    "ee_pose": ("end-effector pose", "control"),
+}
 log = logging.getLogger(__name__)
 
 
@@ -198,9 +203,10 @@ class InferenceModule(Module):
             if missing:
                 self.status.set_waiting(missing)
             elif self._inputs.silence_s() > SILENCE_S:
+                what, source = _SOURCES[self._inputs.unusable()]
                 raise NotReadyError(
-                    f"No usable image for {self._inputs.silence_s():.1f} s; actions have stopped.",
-                    hint="Is perception running, and is its clock right?",
+                    f"No usable {what} for {self._inputs.silence_s():.1f} s; actions have stopped.",
+                    hint=f"Is {source} running, and is its clock right?",
                 )
             return
         if self._turn.is_over(self._inputs.captured_ns(observation)):

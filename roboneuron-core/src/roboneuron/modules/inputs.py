@@ -54,6 +54,7 @@ class NewestInputs:
         self._fresh = threading.Condition()
         self._used_ns = -1
         self._usable_s = time.monotonic()
+        self._refused = "image"
         self._leading = next(iter(self.cameras), "")
 
     def image_callback(self, role: str) -> Callable[[Image], None]:
@@ -144,6 +145,12 @@ class NewestInputs:
         """Seconds since the last observation was handed out."""
         return time.monotonic() - self._usable_s
 
+    def unusable(self) -> str:
+        """What keeps observations from being handed out: "image", also when none comes, "joint_state" or "ee_pose"."""
+        with self._fresh:
+            frame = self._frames.get(self._leading)
+        return "image" if frame is None or self._doubt(frame.stamp_ns, self._now_ns()) else self._refused
+
     def wait(self, timeout_s: float) -> Observation | None:
         """Return the newest observation not handed out yet, without its instruction; None after `timeout_s`."""
         with self._fresh:
@@ -153,20 +160,23 @@ class NewestInputs:
             joints, ee_pose = self._joints, self._ee_pose
             self._used_ns = frames[self._leading].stamp_ns
         now_ns = self._now_ns()
-        limit_ns = now_ns - int(self.max_age_s * 1e9)
         for role, frame in list(frames.items()):
-            is_old, is_future = frame.stamp_ns < limit_ns, frame.stamp_ns > now_ns + _FUTURE_NS
-            if is_old or is_future:
-                if role not in self._optional:
-                    self._status.dropped.add("old_image" if is_old else "future_image")
-                    return None
+            doubt = self._doubt(frame.stamp_ns, now_ns)
+            if doubt and role not in self._optional:
+                self._refuse("image", doubt)
+                return None
+            if doubt:
                 del frames[role]
-        if self.needs_state and (joints is None or ee_pose is None):
-            return None
-        if joints is not None and not limit_ns <= joints.stamp_ns <= now_ns + _FUTURE_NS:
-            self._status.dropped.add("old_joint_state" if joints.stamp_ns < limit_ns else "future_joint_state")
-            return None
+        if self.needs_state:
+            if joints is None or ee_pose is None:
+                return None
+            for what, stamp_ns in (("joint_state", joints.stamp_ns), ("ee_pose", ee_pose.stamp_ns)):
+                doubt = self._doubt(stamp_ns, now_ns)
+                if doubt:
+                    self._refuse(what, doubt)
+                    return None
         self._usable_s = time.monotonic()
+        self._refused = "image"
         return Observation(
             frames=frames,
             instruction="",
@@ -175,6 +185,16 @@ class NewestInputs:
             gripper_open=self._opening(joints),
             stamp_ns=min(frame.stamp_ns for frame in frames.values()),
         )
+
+    def _doubt(self, stamp_ns: int, now_ns: int) -> str:
+        """Word for what is wrong with a stamp; empty when nothing is."""
+        if stamp_ns < now_ns - int(self.max_age_s * 1e9):
+            return "old"
+        return "future" if stamp_ns > now_ns + _FUTURE_NS else ""
+
+    def _refuse(self, what: str, doubt: str) -> None:
+        self._status.dropped.add(f"{doubt}_{what}")
+        self._refused = what
 
     def _is_fresh(self) -> bool:
         needed = [role for role in self.cameras if role not in self._optional]
