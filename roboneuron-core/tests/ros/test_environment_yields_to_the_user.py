@@ -8,7 +8,14 @@ from xml.etree import ElementTree
 import pytest
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.ros.environment import BOOTSTRAP_GUARD, fast_dds_profile, module_environment, set_defaults
+from roboneuron.ros.environment import (
+    BOOTSTRAP_GUARD,
+    PORT_OFFSET,
+    fast_dds_profile,
+    module_environment,
+    port_offset,
+    set_defaults,
+)
 
 PREFIX = "/venv"
 
@@ -25,6 +32,7 @@ def test_an_empty_environment_gets_every_default() -> None:
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(fast_dds_profile())
     assert environment["ROS_LOG_DIR"] == "logs"
+    assert environment[PORT_OFFSET] == "11"
 
 
 @pytest.mark.parametrize(
@@ -62,6 +70,21 @@ def test_shipped_profile_has_a_32_mib_segment() -> None:
 def test_another_interpreter_does_not_inherit_our_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
     for key in (BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
         monkeypatch.setenv(key, "x")
-    assert "LD_LIBRARY_PATH" in module_environment(None)
-    other = module_environment("/elsewhere/bin/python")
+    assert "LD_LIBRARY_PATH" in module_environment(None, 0)
+    other = module_environment("/elsewhere/bin/python", 0)
     assert not {BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"} & set(other)
+
+
+def test_successive_modules_have_ports_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    offsets = [int(module_environment(None, start)[PORT_OFFSET]) for start in range(100, 115)]
+    ports = [offset + 2 * participant for offset in offsets for participant in range(16)]
+    assert len(set(ports)) == len(ports)
+    assert all(port % 250 > 11 + 2 * 59 for port in ports)
+
+
+@pytest.mark.parametrize("domain", [0, 101, 227, 229, 230, 231, 232])
+def test_ports_exist_in_every_domain(domain: int) -> None:
+    offsets = {port_offset(domain, start) for start in range(15)}
+    assert all(7400 + 250 * domain + offset + 2 * 15 < 2**16 for offset in offsets)
+    assert len(offsets) == 15 or domain > 227

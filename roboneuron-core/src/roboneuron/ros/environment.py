@@ -16,6 +16,11 @@ from tempfile import TemporaryFile
 from roboneuron.errors import ConfigurationError
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
+"""How far the ports for a process's data lie above the first port of its domain; the shipped profile reads it."""
+_STANDARD_OFFSET = 11
+_SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
+"""Offsets of 16 ports each, above those of the first 60 participants of a domain: out of everybody's way."""
 
 
 def fast_dds_profile() -> Path:
@@ -72,6 +77,7 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if not any(k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")):
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
+    environment.setdefault(PORT_OFFSET, str(_STANDARD_OFFSET))
     environment.setdefault("ROS_LOG_DIR", str(log_directory))
 
 
@@ -80,12 +86,26 @@ def prepare_environment(log_directory: Path | None = None) -> None:
     set_defaults(os.environ, prefix=sys.prefix, log_directory=log_directory or state_directory() / "log" / "ros")
 
 
-def module_environment(python: str | None) -> dict[str, str]:
-    """Environment for a module process run by `python` (None: this interpreter).
+def port_offset(domain: int, start: int) -> int:
+    """Offset of the data ports of the `start`-th module process: none meets the ports of the 14 before it.
+
+    A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS 2.14 can lose a port
+    that is opened again by a successor just then: the successor hears nothing from that sender, ever.
+
+    Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard offset is 11).
+    """
+    slots = [slot for slot in _SLOTS if 7400 + 250 * domain + slot + 32 < 2**16]
+    return slots[start % len(slots)] if slots else _STANDARD_OFFSET
+
+
+def module_environment(python: str | None, start: int) -> dict[str, str]:
+    """Environment for the `start`-th module process, run by `python` (None: this interpreter).
 
     Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its bootstrapper runs.
     """
     environment = dict(os.environ)
+    domain = environment.get("ROS_DOMAIN_ID", "")
+    environment[PORT_OFFSET] = str(port_offset(int(domain) if domain.isdecimal() else 0, start))
     if python is not None and Path(python).absolute() != Path(sys.executable).absolute():
         for key in (BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "PYTHONPATH"):
             environment.pop(key, None)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -61,6 +63,7 @@ class Launcher:
         self._on_spawn = on_spawn
         self._on_change = on_change
         self._spawner = Spawner()
+        self._starts = itertools.count(os.getpid())
 
     def close(self) -> None:
         """End the spawning thread; what it started gets its death signal."""
@@ -102,7 +105,7 @@ class Launcher:
             process = self._spawner.spawn(
                 settings.node_name,
                 command,
-                module_environment(python),
+                module_environment(python, next(self._starts)),
                 settings.model_dump_json(),
                 self._log_directory / f"{settings.node_name}.log",
             )
