@@ -133,7 +133,8 @@ class Bench:
             if recent and max(recent) - min(recent) > 0.005:
                 return
             time.sleep(0.01)
-        raise RuntimeError("the arm does not move")
+        said = {view.kind: view.report for view in self.loop.supervisor.views()}
+        raise RuntimeError(f"the arm does not move; the modules say: {said}")
 
     def stood_s(self, since_s: float) -> float:
         """Last motion after `since_s`, once the arm has stood for 0.4 s."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, module_status
 from roboneuron.server.selection import InferenceRequest
@@ -233,6 +234,19 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
     assert {cell.health(kind) for kind in ("robot", "perception", "control")} == {"ok"}
     cell.fail("memory", "")
     cell.loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+
+
+def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
+    """What a process leaves behind that is killed in the middle of a message (see `roboneuron.ros.lost_ports`)."""
+    cell.loop.stop("perception")
+    process = cell.loop.supervisor.slot("inference").process
+    assert process is not None
+    ports = [name for name in owned_segments(process.pid) if name.startswith(PORT_PREFIX)]
+    for name in ports:
+        (SHARED_MEMORY / name).unlink()
+    cell.loop.start_perception(None, (), {}, quiet)
+    wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
+    assert all((SHARED_MEMORY / name).exists() for name in ports)
 
 
 def test_backend_that_never_answers_is_ended_by_a_stop(built: Cell) -> None:

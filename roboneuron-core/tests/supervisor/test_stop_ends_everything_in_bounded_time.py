@@ -15,7 +15,7 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import StateError
-from roboneuron.supervisor.shared_memory import SHARED_MEMORY, owned_segments
+from roboneuron.ros.segments import SHARED_MEMORY, owned_segments
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

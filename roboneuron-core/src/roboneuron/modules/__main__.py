@@ -15,6 +15,7 @@ from roboneuron.modules.lifeline import follow_parent, watch_stdin
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.lost_ports import watch_ports
 
 
 def _read_line() -> str:
@@ -62,6 +63,7 @@ def _run(settings: ModuleSettings) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     watch_stdin(stop.set, node.note_beat)
+    watch_ports()
     try:
         while not stop.is_set():  # wakes with every turn of the node's loop timer
             if pressed.is_set():

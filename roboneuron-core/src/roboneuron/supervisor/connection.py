@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.shared_memory import (
     RECORD_NAME,
     SegmentRecord,
     clean_abandoned,
     clean_recorded,
-    owned_segments,
 )
 
 if TYPE_CHECKING:

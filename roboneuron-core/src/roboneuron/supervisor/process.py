@@ -18,8 +18,9 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.logs import read_tail
-from roboneuron.supervisor.shared_memory import owned_segments, remove_stale
+from roboneuron.supervisor.shared_memory import remove_stale
 
 log = logging.getLogger(__name__)
 LAST_LINES = 15

@@ -1,8 +1,7 @@
 """Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives, removed afterwards.
 
-A participant holds an exclusive flock on `<name>_el` for each segment and port it owns (measured: /proc/locks shows one
-FLOCK WRITE for each; readers hold none). So the `_el` files that a process has open name what is its own, and a lock
-that can be taken after its death proves that nobody else has taken the name over.
+Its owner holds a lock on `<name>_el` (see `roboneuron.ros.segments`): one that can be taken after the owner's death
+proves that nobody else has taken the name over.
 """
 
 from __future__ import annotations
@@ -17,27 +16,15 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from roboneuron.ros.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
+
 log = logging.getLogger(__name__)
-SHARED_MEMORY = Path("/dev/shm")
-_PREFIX, _SUFFIX = "fastrtps_", "_el"
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
 _SEGMENT = re.compile(r"^fastrtps_([0-9a-f]{16}|port\d+)$")
 LEAST_AGE_S = 60.0
 """A segment is made, locked and mapped one after the other: a young one may be on its way."""
 RECORD_NAME = "shared_memory"
 """Of the record in a server run's log folder."""
-
-
-def owned_segments(pid: int) -> frozenset[str]:
-    """Names of the segments and ports that the living process `pid` owns; empty when it cannot be looked at."""
-    names = set()
-    with suppress(OSError):
-        for entry in os.scandir(f"/proc/{pid}/fd"):
-            with suppress(OSError):
-                target = Path(os.readlink(entry.path))
-                if target.parent == SHARED_MEMORY and target.name.startswith(_PREFIX) and target.name.endswith(_SUFFIX):
-                    names.add(target.name.removesuffix(_SUFFIX))
-    return frozenset(names)
 
 
 def remove_stale(names: frozenset[str]) -> int:
@@ -53,8 +40,8 @@ def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_
     """
     mapped = _mapped(directory)
     removed = size = 0
-    for path in directory.glob(f"{_PREFIX}*"):
-        name = path.name.removesuffix(_SUFFIX)
+    for path in directory.glob(f"{PREFIX}*"):
+        name = path.name.removesuffix(LOCK_SUFFIX)
         if name in mapped or not _SEGMENT.match(name):
             continue
         with suppress(OSError):
@@ -63,7 +50,7 @@ def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_
                 continue
             segment = directory / name
             held = segment.stat().st_size if segment.exists() else 0
-            has_lock = (directory / f"{name}{_SUFFIX}").exists()
+            has_lock = (directory / f"{name}{LOCK_SUFFIX}").exists()
             if _remove_if_stale(name, directory) if has_lock else _remove(name, directory):
                 removed, size = removed + 1, size + held
     return removed, size
@@ -76,12 +63,12 @@ def _mapped(directory: Path) -> set[str]:
         if entry.name.isdigit():
             with suppress(OSError):
                 text = Path(f"/proc/{entry.name}/maps").read_text(encoding="utf-8", errors="replace")
-                names |= {line.rpartition("/")[2] for line in text.splitlines() if f" {directory}/{_PREFIX}" in line}
+                names |= {line.rpartition("/")[2] for line in text.splitlines() if f" {directory}/{PREFIX}" in line}
     return names
 
 
 def _remove_if_stale(name: str, directory: Path = SHARED_MEMORY) -> bool:
-    lock_file = directory / f"{name}{_SUFFIX}"
+    lock_file = directory / f"{name}{LOCK_SUFFIX}"
     try:
         descriptor = os.open(lock_file, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -97,7 +84,7 @@ def _remove_if_stale(name: str, directory: Path = SHARED_MEMORY) -> bool:
 
 
 def _remove(name: str, directory: Path) -> bool:
-    for file in (name, f"sem.{name}_mutex", f"{name}{_SUFFIX}", f"{name}_sl"):
+    for file in (name, f"sem.{name}_mutex", f"{name}{LOCK_SUFFIX}", f"{name}_sl"):
         (directory / file).unlink(missing_ok=True)
     return True
 

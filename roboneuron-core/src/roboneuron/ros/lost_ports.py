@@ -1,0 +1,150 @@
+"""Shared-memory ports that a process listens to and nobody else can find any more: noticed, and given back.
+
+A process that is killed in the middle of a message leaves a lock in the port of the one it wrote to. After a second
+everybody makes that port anew, its owner too, and sometimes one of them removes what the owner has just made (Fast DDS
+2.14; seen once in about 300 kills). Who opens the port afterwards writes to another file of the same name: the owner
+hears nothing from there any more, while all else about it looks well. The owner's listener opens the port again when
+the file that it waits at is marked as broken; nobody marks a file that has no name, so that is done here.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+
+log = logging.getLogger(__name__)
+LOOK_S = 0.5
+_ABI = b"port_node_abi5"
+_NODE = struct.Struct("<7I")
+_FLAGS = 24
+_IS_OK = 1
+"""A port's record starts with its number, its listeners, two timeouts (the second a third of the first), its capacity,
+how many wait, and flags, of which the lowest says that the port works.
+
+Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode; measured on its files."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """A port's record in this process's memory: the file's inode, the address of its flags, and what it says."""
+
+    inode: int
+    flags_at: int
+    flags: int
+    listeners: int
+
+
+def _records(port: int, memory: int) -> Iterator[_Record]:
+    """Records of all files of that port that this process has mapped.
+
+    Args:
+        memory: descriptor of /proc/self/mem: what is unmapped meanwhile is an OSError there.
+    """
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
+        lines = [line.split() for line in maps if f"/{PORT_PREFIX}{port}" in line]
+    for addresses, _, _, _, inode, path, *_ in lines:
+        if path != f"{SHARED_MEMORY}/{PORT_PREFIX}{port}":
+            continue
+        start, end = (int(address, 16) for address in addresses.split("-"))
+        with suppress(OSError):
+            found = _find(os.pread(memory, end - start, start), port)
+            if found is not None:
+                offset, listeners, flags = found
+                yield _Record(int(inode), start + offset + _FLAGS, flags, listeners)
+
+
+def _find(content: bytes, port: int) -> tuple[int, int, int] | None:
+    """Offset of the record of that port, number of listeners, flags; None when the layout is not the known one."""
+    offset = -1 if _ABI in content else len(content)
+    while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
+        if offset + _NODE.size > len(content):
+            break
+        _, listeners, check_ms, wait_ms, capacity, _, flags = _NODE.unpack_from(content, offset)
+        if check_ms > 0 and wait_ms == check_ms // 3 and 0 < capacity <= 2**16 and flags < 8:
+            return offset, listeners, flags
+    return None
+
+
+class LostPorts:
+    """Looks after the ports of this process; not for several threads."""
+
+    def __init__(self) -> None:
+        self._good: dict[int, int] = {}
+        self._doubtful: set[int] = set()
+
+    def look(self) -> list[int]:
+        """Give back the ports that are lost for the second time in a row (the first may be a change under way).
+
+        Returns:
+            Their numbers.
+        """
+        names = [name for name in owned_segments(os.getpid()) if name.startswith(PORT_PREFIX)]
+        ports = {int(name.removeprefix(PORT_PREFIX)) for name in names}
+        self._good = {port: inode for port, inode in self._good.items() if port in ports}
+        lost = {port for port in ports if self._is_lost(port)}
+        given_back = [port for port in sorted(lost & self._doubtful) if self._give_back(port)]
+        self._doubtful = lost - set(given_back)
+        return given_back
+
+    def _is_lost(self, port: int) -> bool:
+        inode = _inode(port)
+        if inode is not None and self._good.get(port) == inode:
+            return False
+        memory = os.open("/proc/self/mem", os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            heard = {record.inode for record in _records(port, memory) if record.listeners > 0}
+        finally:
+            os.close(memory)
+        if inode is not None and inode in heard:
+            self._good[port] = inode
+            return False
+        return bool(heard)
+
+    def _give_back(self, port: int) -> bool:
+        """Mark as broken what is listened to without a name; its listener looks within a third of a second."""
+        memory = os.open("/proc/self/mem", os.O_RDWR | os.O_CLOEXEC)
+        marked = False
+        try:
+            for record in _records(port, memory):
+                if record.listeners > 0 and record.inode != _inode(port) and record.flags & _IS_OK:
+                    with suppress(OSError):
+                        os.pwrite(memory, struct.pack("<I", record.flags & ~_IS_OK), record.flags_at)
+                        marked = True
+        finally:
+            os.close(memory)
+        return marked
+
+
+def _inode(port: int) -> int | None:
+    try:
+        return (SHARED_MEMORY / f"{PORT_PREFIX}{port}").stat().st_ino
+    except FileNotFoundError:
+        return None
+
+
+_watching = threading.Lock()
+
+
+def watch_ports() -> None:
+    """Look after this process's ports on a thread of its own from now on; does nothing the second time."""
+    if _watching.acquire(blocking=False):
+        threading.Thread(target=_watch, name="lost-ports", daemon=True).start()
+
+
+def _watch() -> None:
+    ports, pause = LostPorts(), threading.Event()
+    while not pause.wait(LOOK_S):
+        try:
+            given_back = ports.look()
+        except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
+            log.warning("Shared-memory ports are not looked after: %s", error)
+            return
+        for port in given_back:
+            log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
