@@ -17,18 +17,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+from roboneuron.ros.dead_locks import release_dead_locks
+from roboneuron.ros.port_record import FLAGS, IS_OK, find_record
 from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5
-_ABI = b"port_node_abi5"
-_NODE = struct.Struct("<7I")
-_FLAGS = 24
-_IS_OK = 1
-"""A port's record starts with its number, its listeners, two timeouts (the second a third of the first), its capacity,
-how many wait, and flags, of which the lowest says that the port works.
-
-Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode; measured on its files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,22 +48,9 @@ def _records(port: int, memory: int) -> Iterator[_Record]:
             continue
         start, end = (int(address, 16) for address in addresses.split("-"))
         with suppress(OSError):
-            found = _find(os.pread(memory, end - start, start), port)
+            found = find_record(os.pread(memory, end - start, start), port)
             if found is not None:
-                offset, listeners, flags = found
-                yield _Record(int(inode), start + offset + _FLAGS, flags, listeners)
-
-
-def _find(content: bytes, port: int) -> tuple[int, int, int] | None:
-    """Offset of the record of that port, number of listeners, flags; None when the layout is not the known one."""
-    offset = -1 if _ABI in content else len(content)
-    while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
-        if offset + _NODE.size > len(content):
-            break
-        _, listeners, check_ms, wait_ms, capacity, _, flags = _NODE.unpack_from(content, offset)
-        if check_ms > 0 and wait_ms == check_ms // 3 and 0 < capacity <= 2**16 and flags < 8:
-            return offset, listeners, flags
-    return None
+                yield _Record(int(inode), start + found.offset + FLAGS, found.flags, found.listeners)
 
 
 class LostPorts:
@@ -82,10 +63,13 @@ class LostPorts:
     def look(self) -> list[int]:
         """Give back the ports that are lost for the second time in a row (the first may be a change under way).
 
+        Locks in them that a killed neighbour held are released first.
+
         Returns:
             Their numbers.
         """
         names = [name for name in owned_segments(os.getpid()) if name.startswith(PORT_PREFIX)]
+        release_dead_locks(names)
         ports = {int(name.removeprefix(PORT_PREFIX)) for name in names}
         self._good = {port: inode for port, inode in self._good.items() if port in ports}
         lost = {port for port in ports if self._is_lost(port)}
@@ -113,9 +97,9 @@ class LostPorts:
         marked = False
         try:
             for record in _records(port, memory):
-                if record.listeners > 0 and record.inode != _inode(port) and record.flags & _IS_OK:
+                if record.listeners > 0 and record.inode != _inode(port) and record.flags & IS_OK:
                     with suppress(OSError):
-                        os.pwrite(memory, struct.pack("<I", record.flags & ~_IS_OK), record.flags_at)
+                        os.pwrite(memory, struct.pack("<I", record.flags & ~IS_OK), record.flags_at)
                         marked = True
         finally:
             os.close(memory)

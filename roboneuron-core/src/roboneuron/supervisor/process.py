@@ -18,6 +18,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from roboneuron.ros.dead_locks import release_dead_locks
 from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.logs import read_tail
 from roboneuron.supervisor.shared_memory import remove_stale
@@ -95,6 +96,7 @@ class ModuleProcess:
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()
+            release_dead_locks()
             removed = remove_stale(self._segments)
             if removed:
                 log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, self.name, self.pid)

@@ -1,0 +1,51 @@
+"""The record with which a shared-memory port of Fast DDS begins.
+
+Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode ("port_node_abi5") and RobustInterprocessCondition; offsets measured
+on its files. Locks are `pthread_mutex_t` of glibc, shared between processes and not robust.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+FLAGS = 24
+"""Offset of the flags in a record; the lowest says that the port works."""
+IS_OK = 1
+LOCKS = (20532, 20572)
+"""Offsets of the lock of those who wait, and of the port's own."""
+_ABI = b"port_node_abi5"
+_HEAD = struct.Struct("<7I")
+_LOCK = struct.Struct("<iIiIi")
+_PLAIN_SHARED = 128
+"""Kind of a plain lock that is shared between processes."""
+
+
+class PortRecord(NamedTuple):
+    """Offset of the record in the file, number of listeners, and flags."""
+
+    offset: int
+    listeners: int
+    flags: int
+
+
+def find_record(content: bytes, port: int) -> PortRecord | None:
+    """The record of the port with that number; None when the layout is not the known one.
+
+    It starts with the number, the listeners, two timeouts (the second a third of the first), the capacity, how many
+    wait, and the flags.
+    """
+    offset = -1 if _ABI in content else len(content)
+    while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
+        if offset + LOCKS[-1] + _LOCK.size > len(content):
+            break
+        _, listeners, check_ms, wait_ms, capacity, _, flags = _HEAD.unpack_from(content, offset)
+        if check_ms > 0 and wait_ms == check_ms // 3 and 0 < capacity <= 2**16 and flags < 8:
+            return PortRecord(offset, listeners, flags)
+    return None
+
+
+def lock_owner(content: bytes, offset: int) -> int:
+    """Thread that holds the lock at `offset`; 0 when nobody does, or what is there is no such lock."""
+    locked, _, owner, _, kind = _LOCK.unpack_from(content, offset)
+    return int(owner) if locked and kind == _PLAIN_SHARED else 0
