@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from roboneuron.ros.dead_locks import release_dead_locks
+from roboneuron.ros.dead_ports import release_dead_locks
 from roboneuron.ros.port_record import FLAGS, IS_OK, find_record
 from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 

@@ -9,11 +9,14 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-FLAGS = 24
-"""Offset of the flags in a record; the lowest says that the port works."""
+WAITING, FLAGS = 20, 24
+"""Offsets of how many wait, and of the flags; the lowest of them says that the port works."""
 IS_OK = 1
 LOCKS = (20532, 20572)
 """Offsets of the lock of those who wait, and of the port's own."""
+LISTENER = 20612
+"""Offset of a word about the first listener, the only one of a port of one process: in use (1), waiting, processing."""
+IN_USE = 1
 _ABI = b"port_node_abi5"
 _HEAD = struct.Struct("<7I")
 _LOCK = struct.Struct("<iIiIi")
@@ -37,7 +40,7 @@ def find_record(content: bytes, port: int) -> PortRecord | None:
     """
     offset = -1 if _ABI in content else len(content)
     while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
-        if offset + LOCKS[-1] + _LOCK.size > len(content):
+        if offset + LISTENER >= len(content):
             break
         _, listeners, check_ms, wait_ms, capacity, _, flags = _HEAD.unpack_from(content, offset)
         if check_ms > 0 and wait_ms == check_ms // 3 and 0 < capacity <= 2**16 and flags < 8:

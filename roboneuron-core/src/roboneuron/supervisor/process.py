@@ -18,7 +18,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from roboneuron.ros.dead_locks import release_dead_locks
+from roboneuron.ros.dead_ports import LEASE_S, SilentPorts, release_dead_locks
 from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.logs import read_tail
 from roboneuron.supervisor.shared_memory import remove_stale
@@ -97,6 +97,7 @@ class ModuleProcess:
                 with suppress(OSError):
                     self._child.stdin.close()
             release_dead_locks()
+            _retire_later(SilentPorts(self._segments))
             removed = remove_stale(self._segments)
             if removed:
                 log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, self.name, self.pid)
@@ -104,6 +105,13 @@ class ModuleProcess:
             on_exit(self)
 
         threading.Thread(target=watch, name=f"reaper-{self.name}", daemon=True).start()
+
+
+def _retire_later(ports: SilentPorts) -> None:
+    """When nobody writes there any more; the end of this process does not wait for that."""
+    timer = threading.Timer(LEASE_S, ports.retire)
+    timer.daemon = True
+    timer.start()
 
 
 def _kill_group(group: int) -> None:

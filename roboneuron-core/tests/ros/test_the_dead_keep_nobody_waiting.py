@@ -1,4 +1,4 @@
-"""A lock in a shared-memory port whose holder was killed is released; one that somebody holds is not."""
+"""What a killed process leaves in shared-memory ports: locks are released, its own port swallows what comes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import rclpy
 
-from roboneuron.ros.dead_locks import release_dead_locks
-from roboneuron.ros.port_record import LOCKS, find_record, lock_owner
+from roboneuron.ros.dead_ports import SilentPorts, release_dead_locks
+from roboneuron.ros.port_record import IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
 from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 pytestmark = pytest.mark.ros
@@ -75,6 +75,25 @@ def test_only_locks_of_the_dead_are_released(name: str) -> None:
     assert release_dead_locks([name]) == 2
     assert holder.pid not in owners(name)
     assert release_dead_locks([name]) == 0
+
+
+def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(name: str, tmp_path: Path) -> None:
+    port = int(name.removeprefix(PORT_PREFIX))
+    copy = tmp_path / name
+    copy.write_bytes((SHARED_MEMORY / name).read_bytes())  # its owner is as if it had died just now
+    before = find_record(copy.read_bytes(), port)
+    assert before is not None
+    assert before.flags & IS_OK
+    ports = SilentPorts([name, "fastrtps_0123456789abcdef", "fastrtps_port1"], tmp_path)
+    content = copy.read_bytes()
+    assert content[before.offset + LISTENER] == IN_USE, "neither waiting nor at work: nobody finds that it stands still"
+    assert content[before.offset + WAITING : before.offset + WAITING + 4] == bytes(4), "nobody wakes it"
+    assert find_record(content, port) == before, "nobody closes it"
+    ports.retire()
+    after = find_record(copy.read_bytes(), port)
+    assert after is not None
+    assert after.flags == before.flags & ~IS_OK
+    ports.retire()
 
 
 def test_files_that_are_no_ports_are_left_alone(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
-"""Locks in shared-memory ports whose holder was killed: released, so that nobody waits for the dead.
+"""What a killed process leaves in shared-memory ports, put right before anybody waits for it.
 
-Fast DDS waits a second for such a lock, with each message anew, then makes the port anew: for several seconds those who
-write there do nothing else (measured: robot, perception and control silent for more than three seconds).
+Locks that it held in its neighbours' ports: Fast DDS waits a second for each, with each message anew, and then makes
+the port anew, from which it may come out deaf (see `lost_ports`). Its own port: who writes there finds after a second
+that its listener does not move, and makes that port anew too; when the listener was at work at its end, the writer can
+be caught for ever (Fast DDS 2.14, issue 6484; measured: a robot that was silent for good after control was killed).
 """
 
 from __future__ import annotations
@@ -16,10 +18,12 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from roboneuron.ros.port_record import LOCKS, find_record, lock_owner
+from roboneuron.ros.port_record import FLAGS, IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
 from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY
 
 log = logging.getLogger(__name__)
+LEASE_S = 25.0
+"""After this long nobody writes to a killed process any more: the lease of a participant is 20 s."""
 _LOOKS, _PAUSE_S = 5, 0.01
 """A living thread holds such a lock for microseconds. One that is not seen here may live in another container."""
 
@@ -41,6 +45,40 @@ def release_dead_locks(names: Iterable[str] | None = None, directory: Path = SHA
             with suppress(OSError, ValueError):  # gone, somebody else's, or empty: being made
                 released += _release(directory / name, int(number))
     return released
+
+
+class SilentPorts:
+    """The ports of a process that is gone, as places where messages vanish without anybody waiting.
+
+    They must not stay so: a successor at one of these ports, long after, would not be looked for. `retire` tells those
+    who still have them open that they are broken; by then nobody may write there any more.
+    """
+
+    def __init__(self, names: Iterable[str], directory: Path = SHARED_MEMORY) -> None:
+        self._ports: list[tuple[mmap.mmap, int]] = []
+        for name in names:
+            number = name.removeprefix(PORT_PREFIX)
+            if name.startswith(PORT_PREFIX) and number.isdecimal():
+                with suppress(OSError, ValueError):
+                    self._silence(directory / name, int(number))
+
+    def _silence(self, path: Path, port: int) -> None:
+        with path.open("r+b") as file:
+            memory = mmap.mmap(file.fileno(), 0)
+        record = find_record(memory[:], port)
+        if record is None or record.listeners != 1 or not memory[record.offset + LISTENER] & IN_USE:
+            memory.close()
+            return
+        memory[record.offset + LISTENER] = IN_USE
+        memory[record.offset + WAITING : record.offset + WAITING + 4] = bytes(4)
+        self._ports.append((memory, record.offset))
+
+    def retire(self) -> None:
+        """Have everybody close them."""
+        for memory, offset in self._ports:
+            memory[offset + FLAGS] &= ~IS_OK & 0xFF
+            memory.close()
+        self._ports = []
 
 
 def _release(path: Path, port: int) -> int:
