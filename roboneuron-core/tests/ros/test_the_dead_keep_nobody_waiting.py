@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import rclpy
 
 from roboneuron.ros.dead_ports import SilentPorts, release_dead_locks
 from roboneuron.ros.port_record import IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 pytestmark = pytest.mark.ros
 HOLDER = """
@@ -81,9 +82,15 @@ def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(name: str, tmp
     port = int(name.removeprefix(PORT_PREFIX))
     copy = tmp_path / name
     copy.write_bytes((SHARED_MEMORY / name).read_bytes())  # its owner is as if it had died just now
+    lock = tmp_path / f"{name}{LOCK_SUFFIX}"
+    lock.touch()
     before = find_record(copy.read_bytes(), port)
     assert before is not None
     assert before.flags & IS_OK
+    with lock.open("rb") as owner:
+        fcntl.flock(owner, fcntl.LOCK_EX)
+        SilentPorts([name], tmp_path).retire()
+        assert find_record(copy.read_bytes(), port) == before, "somebody has it"
     ports = SilentPorts([name, "fastrtps_0123456789abcdef", "fastrtps_port1"], tmp_path)
     content = copy.read_bytes()
     assert content[before.offset + LISTENER] == IN_USE, "neither waiting nor at work: nobody finds that it stands still"

@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from roboneuron.ros.port_record import FLAGS, IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY
+from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY
 
 log = logging.getLogger(__name__)
 LEASE_S = 25.0
@@ -63,7 +63,8 @@ class SilentPorts:
                     self._silence(directory / name, int(number))
 
     def _silence(self, path: Path, port: int) -> None:
-        with path.open("r+b") as file:
+        with path.with_name(f"{path.name}{LOCK_SUFFIX}").open("rb") as lock, path.open("r+b") as file:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # an OSError when somebody else has the port by now
             memory = mmap.mmap(file.fileno(), 0)
         record = find_record(memory[:], port)
         if record is None or record.listeners != 1 or not memory[record.offset + LISTENER] & IN_USE:

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -26,6 +27,8 @@ from roboneuron.supervisor.shared_memory import remove_stale
 log = logging.getLogger(__name__)
 LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
+_RECENT = 10
+"""Only the ports of so many processes wait for the end of their lease: their numbers are used again after 15."""
 
 
 class ModuleProcess:
@@ -41,6 +44,8 @@ class ModuleProcess:
         self._reaping = threading.Lock()
         self._exited = threading.Event()
         self._segments: frozenset[str] = frozenset()
+        self._silent: SilentPorts | None = None
+        self._silent_s = 0.0
 
     @property
     def exit_code(self) -> int | None:
@@ -60,6 +65,13 @@ class ModuleProcess:
         """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
         self._segments |= owned_segments(self.pid)
         return self._segments
+
+    def retire_ports(self, after_s: float) -> bool:
+        """Whether it ended at least `after_s` ago; then those who wrote to it close its ports."""
+        if self._silent is None or time.monotonic() - self._silent_s < after_s:
+            return False
+        self._silent.retire()
+        return True
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
@@ -97,7 +109,7 @@ class ModuleProcess:
                 with suppress(OSError):
                     self._child.stdin.close()
             release_dead_locks()
-            _retire_later(SilentPorts(self._segments))
+            self._silent_s, self._silent = time.monotonic(), SilentPorts(self._segments)
             removed = remove_stale(self._segments)
             if removed:
                 log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, self.name, self.pid)
@@ -105,13 +117,6 @@ class ModuleProcess:
             on_exit(self)
 
         threading.Thread(target=watch, name=f"reaper-{self.name}", daemon=True).start()
-
-
-def _retire_later(ports: SilentPorts) -> None:
-    """When nobody writes there any more; the end of this process does not wait for that."""
-    timer = threading.Timer(LEASE_S, ports.retire)
-    timer.daemon = True
-    timer.start()
 
 
 def _kill_group(group: int) -> None:
@@ -124,6 +129,7 @@ class Spawner:
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
+        self._spawned: list[ModuleProcess] = []
 
     def spawn(
         self,
@@ -143,11 +149,17 @@ class Spawner:
     def close(self) -> None:
         """End the thread; children that are still alive get their death signal."""
         self._thread.shutdown(wait=True)
+        self._retire_ports(0.0)
 
-    @staticmethod
+    def _retire_ports(self, after_s: float) -> None:
+        """Before their numbers are used again, which is so for the 15th process that is spawned after."""
+        oldest = len(self._spawned) - _RECENT
+        self._spawned = [p for i, p in enumerate(self._spawned) if not p.retire_ports(after_s if i >= oldest else 0.0)]
+
     def _spawn(
-        name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
+        self, name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
     ) -> ModuleProcess:
+        self._retire_ports(LEASE_S)
         log_path.parent.mkdir(parents=True, exist_ok=True)
         with log_path.open("ab") as output:
             offset = output.tell()
@@ -166,4 +178,5 @@ class Spawner:
             child.stdin.write(first_line.encode() + b"\n")
             child.stdin.flush()
         os.set_blocking(child.stdin.fileno(), False)
+        self._spawned.append(process)
         return process
