@@ -246,7 +246,7 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
         (SHARED_MEMORY / name).unlink()
     cell.loop.start_perception(None, (), {}, quiet)
     wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
-    assert all((SHARED_MEMORY / name).exists() for name in ports)
+    wait_until(lambda: all((SHARED_MEMORY / name).exists() for name in ports), 3.0, "its other port is found as well")
 
 
 def test_backend_that_never_answers_is_ended_by_a_stop(built: Cell) -> None:

@@ -13,7 +13,16 @@ import pytest
 import rclpy
 
 from roboneuron.ros.dead_ports import SilentPorts, release_dead_locks
-from roboneuron.ros.port_record import IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
+from roboneuron.ros.port_record import (
+    IN_USE,
+    IS_OK,
+    LISTENER,
+    LOCKS,
+    WAITING,
+    PortRecord,
+    find_record,
+    lock_owner,
+)
 from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 pytestmark = pytest.mark.ros
@@ -31,75 +40,83 @@ sys.stdin.read()
 """Locks of a port, held until the process ends."""
 
 
-@pytest.fixture
-def name() -> Iterator[str]:
-    """A port that nobody else knows."""
+@pytest.fixture(scope="module")
+def content() -> Iterator[tuple[str, bytes]]:
+    """Name and content of a port whose locks nobody holds."""
     before = owned_segments(os.getpid())
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node("owner", context=context)
-    yield max(name for name in owned_segments(os.getpid()) - before if name.startswith(PORT_PREFIX))
+    name = max(name for name in owned_segments(os.getpid()) - before if name.startswith(PORT_PREFIX))
+    content = (SHARED_MEMORY / name).read_bytes()
+    while any(owners(name, content)):
+        content = (SHARED_MEMORY / name).read_bytes()
+    yield name, content
     node.destroy_node()
     context.shutdown()
 
 
-def owners(name: str) -> list[int]:
-    content = (SHARED_MEMORY / name).read_bytes()
+@pytest.fixture
+def port(content: tuple[str, bytes], tmp_path: Path) -> Path:
+    """A copy of that port, as if its owner had just died: its lock file is there, and nobody holds it."""
+    path = tmp_path / content[0]
+    path.write_bytes(content[1])
+    path.with_name(f"{path.name}{LOCK_SUFFIX}").touch()
+    return path
+
+
+def record_of(name: str, content: bytes) -> PortRecord:
     record = find_record(content, int(name.removeprefix(PORT_PREFIX)))
     assert record is not None
-    return [lock_owner(content, record.offset + lock) for lock in LOCKS]
+    return record
 
 
-def hold(name: str) -> subprocess.Popen[str]:
-    path = SHARED_MEMORY / name
-    record = find_record(path.read_bytes(), int(name.removeprefix(PORT_PREFIX)))
-    assert record is not None
-    offsets = [str(record.offset + lock) for lock in LOCKS]
-    process = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(path), *offsets], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+def owners(name: str, content: bytes) -> list[int]:
+    offset = record_of(name, content).offset
+    return [lock_owner(content, offset + lock) for lock in LOCKS]
+
+
+def hold(port: Path) -> subprocess.Popen[str]:
+    offset = record_of(port.name, port.read_bytes()).offset
+    command = [sys.executable, "-c", HOLDER, str(port), *(str(offset + lock) for lock in LOCKS)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     return process
 
 
-def test_only_locks_of_the_dead_are_released(name: str) -> None:
-    holder = hold(name)
+def test_only_locks_of_the_dead_are_released(port: Path) -> None:
+    holder = hold(port)
     try:
-        assert owners(name) == [holder.pid, holder.pid]
-        assert release_dead_locks([name]) == 0, "it lives"
-        assert owners(name) == [holder.pid, holder.pid]
+        assert owners(port.name, port.read_bytes()) == [holder.pid, holder.pid]
+        assert release_dead_locks(directory=port.parent) == 0, "it lives"
+        assert owners(port.name, port.read_bytes()) == [holder.pid, holder.pid]
     finally:
         holder.kill()
         holder.communicate()
-    assert owners(name) == [holder.pid, holder.pid], "a lock outlives its holder"
-    assert release_dead_locks([name]) == 2
-    assert holder.pid not in owners(name)
-    assert release_dead_locks([name]) == 0
+    assert owners(port.name, port.read_bytes()) == [holder.pid, holder.pid], "a lock outlives its holder"
+    assert release_dead_locks(directory=port.parent) == 2
+    assert owners(port.name, port.read_bytes()) == [0, 0]
+    assert release_dead_locks([port.name], port.parent) == 0
+    next_holder = hold(port)
+    next_holder.kill()
+    next_holder.communicate()
 
 
-def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(name: str, tmp_path: Path) -> None:
-    port = int(name.removeprefix(PORT_PREFIX))
-    copy = tmp_path / name
-    copy.write_bytes((SHARED_MEMORY / name).read_bytes())  # its owner is as if it had died just now
-    lock = tmp_path / f"{name}{LOCK_SUFFIX}"
-    lock.touch()
-    before = find_record(copy.read_bytes(), port)
-    assert before is not None
+def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(port: Path) -> None:
+    before = record_of(port.name, port.read_bytes())
     assert before.flags & IS_OK
-    with lock.open("rb") as owner:
+    with port.with_name(f"{port.name}{LOCK_SUFFIX}").open("rb") as owner:
         fcntl.flock(owner, fcntl.LOCK_EX)
-        SilentPorts([name], tmp_path).retire()
-        assert find_record(copy.read_bytes(), port) == before, "somebody has it"
-    ports = SilentPorts([name, "fastrtps_0123456789abcdef", "fastrtps_port1"], tmp_path)
-    content = copy.read_bytes()
+        SilentPorts([port.name], port.parent).retire()
+        assert record_of(port.name, port.read_bytes()) == before, "somebody has it"
+    ports = SilentPorts([port.name, "fastrtps_0123456789abcdef", "fastrtps_port1"], port.parent)
+    content = port.read_bytes()
     assert content[before.offset + LISTENER] == IN_USE, "neither waiting nor at work: nobody finds that it stands still"
     assert content[before.offset + WAITING : before.offset + WAITING + 4] == bytes(4), "nobody wakes it"
-    assert find_record(content, port) == before, "nobody closes it"
+    assert record_of(port.name, content) == before, "nobody closes it"
     ports.retire()
-    after = find_record(copy.read_bytes(), port)
-    assert after is not None
-    assert after.flags == before.flags & ~IS_OK
+    assert record_of(port.name, port.read_bytes()).flags == before.flags & ~IS_OK
     ports.retire()
 
 
