@@ -2,8 +2,8 @@
 
 Locks that it held in its neighbours' ports: Fast DDS waits a second for each, with each message anew, and then makes
 the port anew, from which it may come out deaf (see `lost_ports`). Its own port: who writes there finds after a second
-that its listener does not move, and makes that port anew too; when the listener was at work at its end, the writer can
-be caught for ever (Fast DDS 2.14, issue 6484; measured: a robot that was silent for good after control was killed).
+that its listener does not move, and makes that port anew too (for what can go wrong then see Fast DDS issue 6484).
+Measured without this: a robot that reported nothing for three seconds after control had been killed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from roboneuron.ros.port_record import FLAGS, IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
-from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY
+from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, port_number
 
 log = logging.getLogger(__name__)
 LEASE_S = 25.0
@@ -40,10 +40,10 @@ def release_dead_locks(names: Iterable[str] | None = None, directory: Path = SHA
     """
     released = 0
     for name in [path.name for path in directory.glob(f"{PORT_PREFIX}*")] if names is None else names:
-        number = name.removeprefix(PORT_PREFIX)
-        if number.isdecimal():
+        port = port_number(name)
+        if port is not None:
             with suppress(OSError, ValueError):  # gone, somebody else's, or empty: being made
-                released += _release(directory / name, int(number))
+                released += _release(directory / name, port)
     return released
 
 
@@ -57,10 +57,10 @@ class SilentPorts:
     def __init__(self, names: Iterable[str], directory: Path = SHARED_MEMORY) -> None:
         self._ports: list[tuple[mmap.mmap, int]] = []
         for name in names:
-            number = name.removeprefix(PORT_PREFIX)
-            if name.startswith(PORT_PREFIX) and number.isdecimal():
+            port = port_number(name)
+            if port is not None:
                 with suppress(OSError, ValueError):
-                    self._silence(directory / name, int(number))
+                    self._silence(directory / name, port)
 
     def _silence(self, path: Path, port: int) -> None:
         with path.with_name(f"{path.name}{LOCK_SUFFIX}").open("rb") as lock, path.open("r+b") as file:

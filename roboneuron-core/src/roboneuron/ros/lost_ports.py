@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from roboneuron.ros.dead_ports import release_dead_locks
 from roboneuron.ros.port_record import FLAGS, IS_OK, find_record
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5
@@ -68,9 +68,9 @@ class LostPorts:
         Returns:
             Their numbers.
         """
-        names = [name for name in owned_segments(os.getpid()) if name.startswith(PORT_PREFIX)]
+        names = owned_segments(os.getpid())
         release_dead_locks(names)
-        ports = {int(name.removeprefix(PORT_PREFIX)) for name in names}
+        ports = {port for port in map(port_number, names) if port is not None}
         self._good = {port: inode for port, inode in self._good.items() if port in ports}
         lost = {port for port in ports if self._is_lost(port)}
         given_back = [port for port in sorted(lost & self._doubtful) if self._give_back(port)]

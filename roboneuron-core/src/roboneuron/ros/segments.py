@@ -15,6 +15,12 @@ PREFIX, LOCK_SUFFIX = "fastrtps_", "_el"
 PORT_PREFIX = f"{PREFIX}port"
 
 
+def port_number(name: str) -> int | None:
+    """Number of the port that a file of that name holds; None when it is no port's."""
+    number = name.removeprefix(PORT_PREFIX)
+    return int(number) if name.startswith(PORT_PREFIX) and number.isdecimal() else None
+
+
 def owned_segments(pid: int) -> frozenset[str]:
     """Names of the segments and ports that the living process `pid` owns; empty when it cannot be looked at."""
     names = set()
