@@ -13,8 +13,9 @@ import threading
 import time
 
 from roboneuron.errors import CheckpointError, UngroundedError
-from roboneuron.modules.lifeline import follow_parent, watch_stdin
+from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings, StatusKey
+from roboneuron.modules.signals import Signals
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 
@@ -93,15 +94,17 @@ class FakeModule(Module):
 
 
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-stop = threading.Event()
-for number in (signal.SIGTERM, signal.SIGINT):
-    signal.signal(number, signal.SIG_IGN if fault == "ignores-sigterm" else lambda *_: stop.set())
+signals = Signals()
+signals.listen()
+if fault == "ignores-sigterm":
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 node = ModuleNode(settings, FakeModule)
 executor = SingleThreadedExecutor()
 executor.add_node(node)
-watch_stdin(stop.set)
-while not stop.is_set():
+watch_stdin(signals.leave)
+while not signals.is_leaving:
     executor.spin_once()
 node.release()
 node.destroy_node()
 rclpy.try_shutdown()
+end_group()

@@ -144,10 +144,12 @@ import sys, time
 from pathlib import Path
 from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
-config = parse_config('[robot]\\nname = "fake"')
+config = parse_config('[robot]\\nname = "fake"\\n[plugins.fault]\\nperception = "has-a-child"')
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 for kind in ("robot", "perception"):
-    print(supervisor.start(kind, config).process.pid, flush=True)
+    view = supervisor.start(kind, config)
+    print(view.process.pid, flush=True)
+print(view.report.metrics["child_pid"], flush=True)
 time.sleep(60)
 """
 
@@ -158,10 +160,10 @@ def test_what_a_killed_server_leaves_is_cleaned_by_the_next_one(
     script = PARENT.format(command=fake_command(None), state=str(tmp_path))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        pids = [int(parent.stdout.readline()) for _ in range(3)]
         segments = owned_segments(parent.pid)
         parent.kill()
-    wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both children are gone")
+    wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both modules are gone, and the child of one")
     assert segments
     following = Supervisor(tmp_path, command=fake_command)
     following.open()
@@ -172,15 +174,15 @@ def test_what_a_killed_server_leaves_is_cleaned_by_the_next_one(
     assert list(tmp_path.glob("log/*/shared_memory")) == []
 
 
-def test_children_die_when_their_parent_is_killed(
+def test_modules_and_their_children_die_when_their_parent_is_killed(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> None:
     script = PARENT.format(command=fake_command(None), state=str(tmp_path))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        pids = [int(parent.stdout.readline()) for _ in range(3)]
         parent.kill()
         parent.wait(5)
         killed_s = time.monotonic()
-        wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both children are gone")
-        print(f"children gone {1e3 * (time.monotonic() - killed_s):.0f} ms after their parent")
+        wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both modules are gone, and the child of one")
+        print(f"all gone {1e3 * (time.monotonic() - killed_s):.0f} ms after their parent")

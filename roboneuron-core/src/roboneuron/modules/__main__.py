@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
-import threading
 
 from pydantic import ValidationError
 
 from roboneuron.errors import StateError
-from roboneuron.modules.lifeline import follow_parent, watch_stdin
+from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.signals import Signals
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.ros.lost_ports import watch_ports
@@ -55,19 +54,18 @@ def _run(settings: ModuleSettings) -> None:
 
     # rclpy's own handlers end the context first: then nobody could publish a last hold.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    stop, pressed = threading.Event(), threading.Event()
-    signal.signal(signal.SIGUSR1, lambda *_: pressed.set())
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: stop.set())
+    signals = Signals()
+    signals.listen()
     node = ModuleNode(settings, build)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch_stdin(stop.set, node.note_beat)
+    watch_stdin(signals.leave, node.note_beat)
     watch_ports()
     try:
-        while not stop.is_set():  # wakes with every turn of the node's loop timer
-            if pressed.is_set():
-                pressed.clear()
+        is_leaving = False
+        while not is_leaving:  # wakes with every turn of the node's loop timer
+            is_leaving = signals.is_leaving  # first: a press before it counts
+            if signals.take_press():
                 node.press_stop("the signal SIGUSR1")
             try:
                 executor.spin_once()
@@ -95,6 +93,7 @@ def main() -> None:
         sys.exit(f"{error.message} {error.hint}")
     with held:
         _run(settings)
+    end_group()
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Two independent ways: the kernel sends SIGTERM when the spawning thread ends (PR_SET_PDEATHSIG), and stdin, a pipe
 whose other end only the parent holds, comes to its end. Either way the module gets a bounded time to hold the robot and
-leave. A module that is stopped (SIGSTOP) is woken by the kernel, see `roboneuron.supervisor.process`.
+leave; after that the kernel ends it, whatever its threads wait for. A module that is stopped (SIGSTOP) is woken by the
+kernel, see `roboneuron.supervisor.process`.
 """
 
 from __future__ import annotations
@@ -13,11 +14,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 _PR_SET_PDEATHSIG = 1
 """Source: prctl(2)."""
 GRACE_S = 1.5
 """Time between the parent's end and a hard exit."""
+_ALARM_S = 0.3
+"""The kernel's alarm comes so long after the exit that should have made it needless."""
 
 
 def _unheard() -> None:
@@ -33,19 +37,35 @@ def follow_parent(expected_parent: int) -> None:
         sys.exit("The parent process is gone.")
 
 
+def end_group() -> None:
+    """Kill all that plugins have started in this process's group; nobody else does when the server was killed.
+
+    The process itself steps out first, into its parent's group; where there is no parent any more, it goes with them.
+    """
+    group = os.getpgrp()
+    if group == os.getpid():
+        with suppress(OSError):
+            os.setpgid(0, os.getpgid(os.getppid()))
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
+
+
 def watch_stdin(
     on_end: Callable[[], None], on_beat: Callable[[], None] = _unheard, grace_s: float = GRACE_S
 ) -> threading.Thread:
     """Call `on_beat` when something comes on stdin: the server lives.
 
-    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs.
+    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may
+    hang: by then SIGALRM is set, whose default action needs nobody's help.
     """
 
     def watch() -> None:
         while os.read(0, 4096):
             on_beat()
+        signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
         on_end()
         threading.Event().wait(grace_s)
+        end_group()
         os._exit(3)
 
     thread = threading.Thread(target=watch, name="lifeline", daemon=True)

@@ -11,6 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any
 
 from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
@@ -80,17 +81,20 @@ class EmergencyStop:
     def press_on_signal(self, namespace: str) -> None:
         """From now on SIGUSR1 latches the stop; called on the main thread."""
 
+        signals: SimpleQueue[int] = SimpleQueue()
+
         def press() -> None:
-            try:
-                self.latch(namespace, who="the signal SIGUSR1", reason="")
-            except (UnsafeError, NotReadyError) as error:
-                log.error("%s", error)
+            """On a thread of its own: the interrupted one may hold any lock."""
+            while signals.get():
+                while not signals.empty():  # pressed twice is pressed
+                    signals.get()
+                try:
+                    self.latch(namespace, who="the signal SIGUSR1", reason="")
+                except (UnsafeError, NotReadyError) as error:
+                    log.error("%s", error)
 
-        def on_signal(*_: object) -> None:
-            """A thread of its own: the interrupted one may hold any lock."""
-            threading.Thread(target=press, name="emergency-stop").start()
-
-        signal.signal(signal.SIGUSR1, on_signal)
+        threading.Thread(target=press, name="emergency-stop", daemon=True).start()
+        signal.signal(signal.SIGUSR1, lambda number, _: signals.put(number))  # may interrupt itself
 
     def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.

@@ -91,6 +91,7 @@ class ModuleProcess:
         with self._reaping:
             if self._child.returncode is None:
                 _kill_group(self.pid)
+                self._child.kill()  # it leaves its group at its end
 
     def wait(self, timeout_s: float) -> bool:
         """Whether it ended, was reaped and cleaned up within `timeout_s`."""
