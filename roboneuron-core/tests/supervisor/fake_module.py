@@ -93,6 +93,19 @@ class FakeModule(Module):
         return SetParametersResult(successful=True)
 
 
+if fault == "loses-answers":
+    from lifecycle_msgs.srv import ChangeState
+    from rclpy.service import Service
+
+    send = Service.send_response
+
+    def lose(service: Service, response: object, header: object) -> None:
+        """As when the node has not discovered yet where to send the answer."""
+        if not isinstance(response, ChangeState.Response):
+            send(service, response, header)
+
+    Service.send_response = lose
+
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 signals = Signals()
 signals.listen()

@@ -51,6 +51,18 @@ def test_a_started_module_is_active_ready_and_reported(supervisor: Supervisor, m
     ]
 
 
+def test_answers_that_are_lost_hinder_neither_start_nor_stop(
+    supervisor: Supervisor, make_config: MakeConfig, caplog: pytest.LogCaptureFixture
+) -> None:
+    view = supervisor.start("robot", make_config(start_timeout_s=15.0, robot="loses-answers"))
+    assert view.report is not None
+    assert view.report.state == "active"
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert (stopped.exit_code, stopped.killed) == (0, False)
+    assert "did not answer" not in caplog.text
+
+
 def test_a_refused_configure_raises_the_modules_own_error(supervisor: Supervisor, make_config: MakeConfig) -> None:
     before = children()
     with pytest.raises(CheckpointError, match="truncated: 3 of 7 shards") as caught:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Source: lifecycle_msgs/msg/Transition."""
 _BEFORE = {"configure": "unconfigured", "cleanup": "inactive", "activate": "inactive", "deactivate": "active"}
+_AFTER = {"configure": "inactive", "cleanup": "unconfigured", "activate": "active", "deactivate": "inactive"}
 _STATE_CALL_S = 1.0
 _LOST_S = 1.0
 """A request that is not answered by then, though the node answers others and is where it was, did not reach it."""
@@ -42,8 +43,9 @@ class LifecycleClient:
 
         def served() -> bool:
             self._check()
-            return self._link.is_service_ready(GetState, self._name("get_state")) and self._link.is_service_ready(
-                ChangeState, self._name("change_state")
+            # In this order: discovery keeps it, so a node that answers `get_state` can also answer `change_state`.
+            return self._link.is_service_ready(ChangeState, self._name("change_state")) and self._link.is_service_ready(
+                GetState, self._name("get_state")
             )
 
         while (remaining_s := deadline_s - time.monotonic()) > 0:
@@ -78,13 +80,16 @@ class LifecycleClient:
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
         deadline_s = time.monotonic() + timeout_s
         calls: list[Call] = []
-        while (remaining_s := deadline_s - time.monotonic()) > 0:
+        made: bool | None = None
+        while made is None and (remaining_s := deadline_s - time.monotonic()) > 0:
+            state = self.state(min(_STATE_CALL_S, remaining_s)) if calls else _BEFORE[name]
             # One that was killed is in the graph for some seconds more: a request may have gone to it alone.
-            if not calls or self.state(min(_STATE_CALL_S, remaining_s)) == _BEFORE[name]:
+            if state == _BEFORE[name]:
                 calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
-            if self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s)):
-                break
-        made = _made(calls)
+            self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s))
+            made = _made(calls)
+            if made is None and state == _AFTER[name]:
+                made = True  # the answer was lost
         for call in calls:
             if not call.done:
                 call.abandon()
