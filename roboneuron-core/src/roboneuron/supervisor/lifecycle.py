@@ -83,13 +83,14 @@ class LifecycleClient:
         made: bool | None = None
         while made is None and (remaining_s := deadline_s - time.monotonic()) > 0:
             state = self.state(min(_STATE_CALL_S, remaining_s)) if calls else _BEFORE[name]
+            if state == _AFTER[name]:
+                made = True  # the answer was lost
+                break
             # One that was killed is in the graph for some seconds more: a request may have gone to it alone.
             if state == _BEFORE[name]:
                 calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
             self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s))
             made = _made(calls)
-            if made is None and state == _AFTER[name]:
-                made = True  # the answer was lost
         for call in calls:
             if not call.done:
                 call.abandon()
