@@ -71,4 +71,7 @@ def test_what_hangs_on_its_way_out_is_ended_by_the_kernel() -> None:
     with python(HANGS) as process:
         assert process.stdin is not None
         process.stdin.close()
-        assert process.wait(10.0) == -signal.SIGALRM
+        try:
+            assert process.wait(10.0) == -signal.SIGALRM
+        finally:
+            process.kill()
