@@ -21,14 +21,14 @@ ALLOWED: dict[str, set[str]] = {
     "contract": LIGHT,
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
-    "config": LIGHT,
+    "config": LIGHT | {"plugins"},
     "interfaces": CONTRACT | {"plugins", "planning", "config"},
     "gate": CONTRACT | {"plugins", "planning", "config", "interfaces"},  # it checks fields by their interface types
     "ros": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate"},
     "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
     "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
-    "testing": CONTRACT | {"plugins"},
+    "testing": CONTRACT | {"plugins", "config", "supervisor", "server", "cli"},
     "client": LIGHT,
     "demo": LIGHT | {"config", "client"},  # an ordinary MCP client: no private calls
     "doctor": CONTRACT | {"plugins", "config", "gate", "ros", "server"},

@@ -38,6 +38,24 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
     assert re.search(r"1\d passed", done.stdout)
 
 
+def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
+    project = tmp_path / "rn-feature-odometer"
+    assert main(["new", "feature", "odometer", "--directory", str(project)]) == 0
+    [(name, text)] = re.findall(r"<!-- feature: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    assert len([line for line in text.splitlines() if line.strip()]) <= 40
+    (project / name).write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "TestOdometer"],
+        cwd=project,
+        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_the_page_explains_every_status():
     assert set(re.findall(r"^\| (\w+) \|", PAGE, flags=re.MULTILINE)) - {"status"} == {s.value for s in Status}
 

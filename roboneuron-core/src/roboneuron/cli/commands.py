@@ -1,20 +1,26 @@
-"""The table of commands; adding one is a module here and a line in it."""
+"""The commands: those of core, and those that plugins offer."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from typing import NamedTuple, Protocol
+from importlib import import_module
+from typing import NamedTuple, Protocol, cast
+
+from roboneuron.errors import PluginError
+from roboneuron.plugins.loading import load_target
+from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Registry
 
 
 class Command(NamedTuple):
-    """Where a command lives and what it does in one line."""
+    """Where a command of core lives and what it does in one line."""
 
     module: str
     summary: str
 
 
 class CommandModule(Protocol):
-    """What a command's module holds."""
+    """What the module of a command of core holds, and what a plugin's command is an instance of."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the command's arguments to its parser."""
@@ -38,3 +44,30 @@ COMMANDS: dict[str, Command] = {
     "new": Command("roboneuron.cli.new", "write a plugin package that passes its contract tests"),
 }
 """Command by name, in the order of `roboneuron --help`."""
+
+
+def installed_commands(registry: Registry) -> dict[str, str]:
+    """Summary by name of the commands that plugins offer and that can be used; one of core's name is left out."""
+    return {
+        offer.spec.name: offer.spec.summary
+        for offer in registry.offers("command")
+        if offer.status is Status.READY and offer.spec.name not in COMMANDS
+    }
+
+
+def load_command(name: str, registry: Registry | None = None) -> CommandModule:
+    """Import a command.
+
+    Raises:
+        ConfigurationError: no installed plugin offers it, or the plugin cannot be used; says why.
+        PluginError, MissingDependencyError: it cannot be loaded.
+    """
+    if registry is None:
+        return cast(CommandModule, import_module(COMMANDS[name].module))
+    target = load_target(registry.get("command", name))
+    if not callable(target):
+        raise PluginError(f"The target of command {name!r} is {target!r}, expected a class.")
+    command = target()
+    if not (callable(getattr(command, "configure", None)) and callable(getattr(command, "run", None))):
+        raise PluginError(f"The command {name!r} is {command!r}, expected the methods configure and run.")
+    return cast(CommandModule, command)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron config`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    actions.add_parser("show", help="print the embedded default, to copy and change")
+    actions.add_parser("show", help="print the embedded default and the options of installed features, to copy")
     check = actions.add_parser("check", help="read a file and say what is wrong with it")
     check.add_argument("file", type=Path)
     actions.add_parser("reference", help="print every key with its type, default and meaning, as Markdown")
@@ -20,7 +24,7 @@ def run(arguments: Namespace) -> int:
     from roboneuron.config import default_text, load_config
 
     if arguments.action == "show":
-        print(default_text(), end="")
+        print(default_text() + feature_text(), end="")
     elif arguments.action == "check":
         config = load_config(arguments.file)
         print(f"{arguments.file} is valid: robot {config.robot.name!r}, namespace /{config.namespace}.")
@@ -29,12 +33,30 @@ def run(arguments: Namespace) -> int:
     return 0
 
 
-def reference() -> str:
-    """docs/configuration.md, generated from the configuration models."""
-    from pydantic import BaseModel
-
+def feature_text() -> str:
+    """The sections of the installed features with their defaults, commented out."""
     from roboneuron.cli.options import describe_options
+    from roboneuron.plugins.discovery import discover
+    from roboneuron.plugins.loading import load_options_model
+
+    lines: list[str] = []
+    for spec in discover().specs("feature").values():
+        model = load_options_model(spec)
+        if model is None:
+            continue
+        lines += ["", f"# {spec.summary}"]
+        lines += [] if spec.sections else [f"# [{spec.keys[0]}]"]
+        for option in describe_options(model):
+            default = "..." if option.default is None else option.default
+            lines.append(f"# {option.key} = {default}  # {option.meaning}")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def reference() -> str:
+    """docs/configuration.md, generated from the configuration models of core and of the installed features."""
     from roboneuron.config import Config, default_text
+    from roboneuron.plugins.discovery import discover
+    from roboneuron.plugins.loading import load_options_model
 
     lines = [
         "# Configuration",
@@ -50,28 +72,50 @@ def reference() -> str:
         "```",
         "",
     ]
-    for name, field in Config.model_fields.items():
-        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        tables = [a for c in candidates for a in getattr(c, "__args__", ())]
-        section = next((c for c in [*candidates, *tables] if isinstance(c, type) and issubclass(c, BaseModel)), None)
-        if section is None:
+    lines += _sections(Config)
+    for spec in discover().specs("feature").values():
+        model = load_options_model(spec)
+        if model is None:
             continue
-        purpose = (section.__doc__ or "").split(": ", 1)[-1].rstrip(".")
-        heading = f"[[{name}]]" if section not in candidates else f"[{name}]"
-        lines += [f"## `{heading}`: {purpose}", "", "| key | type | default | meaning |", "|---|---|---|---|"]
-        for option in describe_options(section):
-            default = "required" if option.default is None else f"`{option.default}`"
-            lines.append(f"| `{option.key}` | {option.type} | {default} | {option.meaning} |")
-        lines.append("")
+        if spec.sections:
+            lines += _sections(model)
+        else:
+            lines += _table(f"[{spec.keys[0]}]", model)
     lines += [
         "## `[plugins.<name>]`: options of one plugin",
         "",
         "One section per backend, runtime, acceleration, perception source or controller, under its own name; the",
         "options of a robot's driver stand under the robot's name. `roboneuron plugins show NAME` lists them.",
         "",
-        "## `disabled_plugins`",
+        "## `disabled_plugins`, `features`",
         "",
-        "A list of distributions that are not loaded, at the top of the file before the first section.",
+        "Lists at the top of the file, before the first section: distributions that are not loaded, and features",
+        "without which the server does not start. A feature whose section is in the file must be there as well.",
         "",
     ]
     return "\n".join(lines)
+
+
+def _sections(root: type[BaseModel]) -> list[str]:
+    """The tables of a model whose fields are sections."""
+    from pydantic import BaseModel
+
+    lines: list[str] = []
+    for name, field in root.model_fields.items():
+        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        tables = [a for c in candidates for a in getattr(c, "__args__", ())]
+        section = next((c for c in [*candidates, *tables] if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        if section is not None:
+            lines += _table(f"[[{name}]]" if section not in candidates else f"[{name}]", section)
+    return lines
+
+
+def _table(heading: str, section: type[BaseModel]) -> list[str]:
+    from roboneuron.cli.options import describe_options
+
+    purpose = (section.__doc__ or "").split(": ", 1)[-1].strip().splitlines()[0].rstrip(".")
+    lines = [f"## `{heading}`: {purpose}", "", "| key | type | default | meaning |", "|---|---|---|---|"]
+    for option in describe_options(section):
+        default = "required" if option.default is None else f"`{option.default}`"
+        lines.append(f"| `{option.key}` | {option.type} | {default} | {option.meaning} |")
+    return [*lines, ""]

@@ -6,12 +6,12 @@ import sys
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from difflib import get_close_matches
-from importlib import import_module
-from typing import cast
 
 from roboneuron import __version__
-from roboneuron.cli.commands import COMMANDS, CommandModule
+from roboneuron.cli.commands import COMMANDS, CommandModule, installed_commands, load_command
 from roboneuron.errors import RoboNeuronError
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.registry import Registry
 
 EXIT_OK = 0
 """It is as asked."""
@@ -21,10 +21,11 @@ EXIT_USAGE = 2
 """The command could not run: wrong arguments, a wrong configuration, something not installed."""
 
 
-def build_parser() -> ArgumentParser:
+def build_parser(registry: Registry) -> ArgumentParser:
     """The parser of `roboneuron` itself; commands are listed, not imported."""
-    width = max(len(name) for name in COMMANDS)
-    table = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items())
+    listed = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(registry)
+    width = max(len(name) for name in listed)
+    table = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in listed.items())
     parser = ArgumentParser(
         prog="roboneuron",
         usage="roboneuron COMMAND [options]",
@@ -41,18 +42,24 @@ def build_parser() -> ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
-    parser = build_parser()
     if not words or words[0].startswith("-"):
+        parser = build_parser(discover())
         parser.parse_args(words)  # --help and --version end here
         parser.print_help(sys.stderr)
         return EXIT_USAGE
     name, *rest = words
-    if name not in COMMANDS:
-        close = get_close_matches(name, COMMANDS, n=1)
-        nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(COMMANDS)}."
+    registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
+    if registry is not None and not any(offer.spec.name == name for offer in registry.offers("command")):
+        names = [*COMMANDS, *installed_commands(registry)]
+        close = get_close_matches(name, names, n=1)
+        nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."
         print(f"roboneuron: there is no command {name!r}; {nearest}", file=sys.stderr)
         return EXIT_USAGE
-    module = cast(CommandModule, import_module(COMMANDS[name].module))
+    try:
+        module = load_command(name, registry)
+    except RoboNeuronError as error:
+        print(f"roboneuron: {error}", file=sys.stderr)
+        return EXIT_USAGE
     command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
     module.configure(command_parser)
     return _run(module, command_parser.parse_args(rest))

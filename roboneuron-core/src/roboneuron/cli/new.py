@@ -1,4 +1,4 @@
-"""Write a plugin package for one of the six kinds; as written it passes its own contract tests."""
+"""Write a plugin package for one of the kinds; as written it passes its own contract tests."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(f"{directory} exists and is not empty.", hint="Name another one with --directory.")
     words = {"kind": kind, "name": name, "distribution": f"rn-{PREFIXES[kind]}-{name}", "package": package}
-    words["cls"] = class_name
+    words |= {"cls": class_name, "tool": name.replace("-", "_")}
     templates = files("roboneuron.cli") / "templates"
     written = [_write(directory / "src" / package / "py.typed", "")]
     for folder in ("common", kind):

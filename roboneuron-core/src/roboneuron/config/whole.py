@@ -36,7 +36,12 @@ class Config(Section):
     expose: tuple[ExposeConfig, ...] = Field(default=(), strict=False, description="see `[[expose]]`")
     discover: tuple[DiscoverConfig, ...] = Field(default=(), strict=False, description="see `[[discover]]`")
     disabled_plugins: tuple[str, ...] = Field(default=(), strict=False, description="distributions not to load")
+    features: tuple[str, ...] = Field(
+        default=(), strict=False, description="features without which the server does not start"
+    )
     plugins: dict[str, dict[str, Any]] = Field(default_factory=dict, description="options by plugin name")
+    sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    """Sections of features by top-level key, as in the file; modules are not told them."""
 
     @property
     def namespace(self) -> str:

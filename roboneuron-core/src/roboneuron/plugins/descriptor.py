@@ -9,23 +9,25 @@ from types import NoneType, UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import CONTRACT_VERSION, KINDS, RobotSpec, Spec
+from roboneuron.plugins.specs import CONTRACT_VERSION, FeatureSpec, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
 TARGET_PATTERN = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 """`target` and `config`: "package.module:attribute"."""
+KEY_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
+"""Top-level keys of roboneuron.toml."""
 ROBOT_KINDS = ("arm", "base")
 """Values of `RobotSpec.robot_kind`."""
 
 
-def check_spec(spec: object, kind: str) -> Spec:
-    """Return `spec` when it is a well-formed descriptor of `kind`.
+def check_spec(spec: object, expected: type[Spec]) -> Spec:
+    """Return `spec` when it is a well-formed descriptor of the class `expected`.
 
     Raises:
         PluginError: another type, a mutable or wrongly typed field, a malformed name or target.
     """
-    expected = KINDS[kind]
+    kind = expected.kind
     if type(spec) is not expected:
         raise PluginError(f"The hook returned {_describe(spec)}, expected a {expected.__name__}.")
     assert isinstance(spec, Spec)
@@ -33,6 +35,8 @@ def check_spec(spec: object, kind: str) -> Spec:
     _check_identity(spec, f"{kind} {spec.name!r}")
     if isinstance(spec, RobotSpec):
         _check_robot(spec)
+    if isinstance(spec, FeatureSpec):
+        _check_feature(spec)
     return spec
 
 
@@ -79,6 +83,15 @@ def _check_robot(spec: RobotSpec) -> None:
             _check_target(driver.config, f"`config` of driver {driver.name!r} of {who}")
     _check_unique((d.name for d in spec.drivers), f"drivers of {who}")
     _check_unique((c.name for c in spec.cameras), f"cameras of {who}")
+
+
+def _check_feature(spec: FeatureSpec) -> None:
+    who = f"feature {spec.name!r}"
+    if spec.sections and spec.config is None:
+        raise PluginError(f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.")
+    for key in spec.keys:
+        if not KEY_PATTERN.fullmatch(key):
+            raise PluginError(f"The section {key!r} of {who} is malformed, expected lower-case letters, digits and _.")
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:

@@ -9,7 +9,7 @@ import re
 import sys
 import traceback
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -21,14 +21,17 @@ import pluggy
 from roboneuron.errors import ConfigurationError, PluginError
 from roboneuron.plugins import availability, hookspecs
 from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.hooks import Hooks
 from roboneuron.plugins.markers import PROJECT
 from roboneuron.plugins.record import SEVERITY, Offer, PluginRecord, Status
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import CONTRACT_VERSION, Spec
+from roboneuron.plugins.specs import CONTRACT_VERSION, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
 _MARK = f"{PROJECT}_impl"
 """Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
+_SPEC_MARK = f"{PROJECT}_spec"
+"""Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin module."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,8 +67,32 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
     """As `discover`, for the given entry points."""
     claims = sorted((_identify(point) for point in points), key=lambda c: (c.distribution, c.point.value))
     skipped = _check_disabled(disabled, {c.distribution for c in claims})
-    findings = [_disable(c) if _normalise(c.distribution) in skipped else _examine(c) for c in claims]
-    return _settle(findings)
+    hooks = Hooks()
+    brought: list[_Finding] = []
+    waiting: list[_Claim] = []
+    for claim in claims:  # what features bring has to be known before any other plugin can offer it
+        if _normalise(claim.distribution) in skipped:
+            brought.append(_disable(claim))
+            continue
+        try:
+            hooks = hooks.extended(_features(claim))
+        except PluginError as error:
+            brought.append(_Finding(record=_record(claim, Status.FAILED, str(error), _trace(error))))
+        else:
+            waiting.append(claim)
+    findings = [*brought, *(_examine(claim, hooks) for claim in waiting)]
+    return _settle(sorted(findings, key=lambda f: (f.record.distribution, f.record.module)), hooks)
+
+
+def _features(claim: _Claim) -> tuple[FeatureSpec, ...]:
+    """Features with hooks of their own; whatever else is wrong with the plugin is told by `_examine`."""
+    try:
+        with redirect_stdout(sys.stderr):
+            offer = getattr(claim.point.load(), hookspecs.HOOKS["feature"], None)
+            offered = offer() if offer is not None else ()
+        return tuple(spec for spec in offered if isinstance(spec, FeatureSpec) and spec.hooks is not None)
+    except (Exception, SystemExit):
+        return ()
 
 
 def _identify(point: EntryPoint) -> _Claim:
@@ -106,11 +133,11 @@ def _disable(claim: _Claim) -> _Finding:
     return _Finding(record=_record(claim, Status.DISABLED, "Disabled by the configuration."))
 
 
-def _examine(claim: _Claim) -> _Finding:
+def _examine(claim: _Claim, hooks: Hooks) -> _Finding:
     """Import one plugin and call its hooks; every failure ends in its own record."""
     try:
         with redirect_stdout(sys.stderr):
-            specs = read_module(claim.point.load())
+            specs = read_module(claim.point.load(), hooks)
     except PluginError as error:
         return _Finding(record=_record(claim, Status.FAILED, str(error), _trace(error)))
     except (Exception, SystemExit) as error:
@@ -125,8 +152,8 @@ def _trace(error: BaseException) -> str:
     return "".join(traceback.format_exception(cause))
 
 
-def read_module(module: object) -> tuple[Spec, ...]:
-    """Return the descriptors that a plugin module offers, in the order of the kinds.
+def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
+    """Return the descriptors that a plugin module offers, in the order of the hooks (those of core when None).
 
     Raises:
         PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns something else
@@ -134,29 +161,30 @@ def read_module(module: object) -> tuple[Spec, ...]:
     """
     if not isinstance(module, ModuleType):
         raise PluginError(f"The entry point names {type(module).__name__} {module!r}, expected a module.")
-    _check_hook_names(module)
+    hooks = hooks or Hooks()
+    _check_hook_names(module, tuple(hooks.specs))
     manager = pluggy.PluginManager(PROJECT)
-    manager.add_hookspecs(hookspecs)
+    for container in hooks.containers:
+        manager.add_hookspecs(container)
     try:
         manager.register(module)
         manager.check_pending()
     except pluggy.PluginValidationError as error:
         raise PluginError(f"{module.__name__}: {error}") from error
     specs: list[Spec] = []
-    for kind, hook in hookspecs.HOOKS.items():
+    for hook, expected in hooks.specs.items():
         for offered in _call(manager, hook):
-            specs.extend(check_spec(spec, kind) for spec in _check_sequence(offered, hook))
+            specs.extend(check_spec(spec, expected) for spec in _check_sequence(offered, hook))
     if not specs:
         raise PluginError(f"{module.__name__} offers nothing, expected a hook such as {hookspecs.HOOKS['backend']}.")
     return tuple(specs)
 
 
-def _check_hook_names(module: ModuleType) -> None:
+def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
     """A function with the prefix of the hooks is one of them and decorated, whatever the decorator says."""
-    hooks = tuple(hookspecs.HOOKS.values())
     for name, value in vars(module).items():
         marked = getattr(value, _MARK, None) is not None
-        if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))):
+        if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))) or hasattr(value, _SPEC_MARK):
             continue
         if name not in hooks:
             close = get_close_matches(name, hooks, n=1, cutoff=0.0)[0]
@@ -197,30 +225,38 @@ def _offer(spec: Spec, distribution: str) -> Offer:
     return Offer(spec=spec, distribution=distribution, status=Status.READY)
 
 
-def _settle(findings: Sequence[_Finding]) -> Registry:
+def _settle(findings: Sequence[_Finding], hooks: Hooks) -> Registry:
     """Mark claims on one name as conflicts and give each plugin the worst status of its offers."""
     claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for finding in findings:
         for offer in finding.offers:
-            claims[offer.spec.kind, offer.spec.name].append(offer.distribution)
+            for claim in _claimed(offer.spec):
+                claims[claim].append(offer.distribution)
     records: list[PluginRecord] = []
     offers: list[Offer] = []
     for finding in findings:
-        settled = [_contest(o, claims[o.spec.kind, o.spec.name]) for o in finding.offers]
+        settled = [_contest(o, claims) for o in finding.offers]
         offers += settled
         records.append(_summarise(finding.record, settled))
     offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.distribution))
-    return Registry(plugins=tuple(records), all_offers=tuple(offers))
+    return Registry(plugins=tuple(records), all_offers=tuple(offers), kinds=hooks.kinds)
 
 
-def _contest(offer: Offer, claimants: Sequence[str]) -> Offer:
-    if len(claimants) == 1:
-        return offer
-    reason = (
-        f"The {offer.spec.kind} {offer.spec.name!r} is claimed by {' and by '.join(claimants)}; "
-        "uninstall or disable all but one."
-    )
-    return replace(offer, status=Status.CONFLICT, reason=reason)
+def _claimed(spec: Spec) -> list[tuple[str, str]]:
+    """What only one plugin may have: the name within its kind, and the sections of a feature."""
+    sections = spec.keys if isinstance(spec, FeatureSpec) else ()
+    return [(spec.kind, spec.name), *(("section", key) for key in sections)]
+
+
+def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> Offer:
+    for kind, name in _claimed(offer.spec):
+        claimants = claims[kind, name]
+        if len(claimants) > 1:
+            reason = (
+                f"The {kind} {name!r} is claimed by {' and by '.join(claimants)}; uninstall or disable all but one."
+            )
+            return replace(offer, status=Status.CONFLICT, reason=reason)
+    return offer
 
 
 def _summarise(record: PluginRecord, offers: Sequence[Offer]) -> PluginRecord:

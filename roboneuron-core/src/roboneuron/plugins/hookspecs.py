@@ -1,4 +1,4 @@
-"""The six hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen descriptors.
+"""The hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen descriptors.
 
 A plugin is a distribution with an entry point in the group `roboneuron` that points at a module holding any of these
 functions, decorated with `roboneuron.plugins.markers.hookimpl`.
@@ -12,7 +12,9 @@ from roboneuron.plugins.markers import hookspec
 from roboneuron.plugins.specs import (
     AccelerationSpec,
     BackendSpec,
+    CommandSpec,
     ControllerSpec,
+    FeatureSpec,
     PerceptionSpec,
     RobotSpec,
     RuntimeSpec,
@@ -74,6 +76,25 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
     """
 
 
+@hookspec
+def roboneuron_features() -> Sequence[FeatureSpec]:  # type: ignore[empty-body]
+    """Offer what the server can do beyond starting, watching, limiting and stopping modules.
+
+    `target` is a subclass of `roboneuron.server.feature.Feature`; it is built as `target(options)` in the server's
+    process, asked for its tools and resources before clients are served, and started once the server has joined ROS.
+    Every installed feature is used unless the configuration disables its distribution.
+    """
+
+
+@hookspec
+def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
+    """Offer commands of `roboneuron`.
+
+    `target` is a class without arguments that follows the protocol `roboneuron.cli.commands.CommandModule`: `configure`
+    adds its arguments to a parser, `run` returns the exit status. It is imported only when the command is used.
+    """
+
+
 HOOKS = {
     "backend": "roboneuron_backends",
     "runtime": "roboneuron_runtimes",
@@ -81,5 +102,7 @@ HOOKS = {
     "perception": "roboneuron_perceptions",
     "controller": "roboneuron_controllers",
     "robot": "roboneuron_robots",
+    "feature": "roboneuron_features",
+    "command": "roboneuron_commands",
 }
-"""Hook name by descriptor kind."""
+"""Hook name by descriptor kind, of the hooks that core knows."""

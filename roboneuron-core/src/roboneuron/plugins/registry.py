@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Literal, overload
@@ -14,7 +14,9 @@ from roboneuron.plugins.specs import (
     KINDS,
     AccelerationSpec,
     BackendSpec,
+    CommandSpec,
     ControllerSpec,
+    FeatureSpec,
     PerceptionSpec,
     RobotSpec,
     RuntimeSpec,
@@ -29,14 +31,16 @@ class Registry:
     Attributes:
         plugins: one record for each entry point, sorted by distribution and module.
         all_offers: every descriptor offered, of any status, sorted by kind, name and distribution.
+        kinds: descriptor class by kind, those of installed features included.
     """
 
     plugins: tuple[PluginRecord, ...]
     all_offers: tuple[Offer, ...]
+    kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: KINDS)
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
         """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for another kind."""
-        _check_kind(kind)
+        _check_kind(kind, self.kinds)
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     @overload
@@ -51,6 +55,10 @@ class Registry:
     def specs(self, kind: Literal["controller"]) -> Mapping[str, ControllerSpec]: ...
     @overload
     def specs(self, kind: Literal["robot"]) -> Mapping[str, RobotSpec]: ...
+    @overload
+    def specs(self, kind: Literal["feature"]) -> Mapping[str, FeatureSpec]: ...
+    @overload
+    def specs(self, kind: Literal["command"]) -> Mapping[str, CommandSpec]: ...
     @overload
     def specs(self, kind: str) -> Mapping[str, Spec]: ...
     def specs(self, kind: str) -> Mapping[str, Spec]:
@@ -69,6 +77,10 @@ class Registry:
     def get(self, kind: Literal["controller"], name: str) -> ControllerSpec: ...
     @overload
     def get(self, kind: Literal["robot"], name: str) -> RobotSpec: ...
+    @overload
+    def get(self, kind: Literal["feature"], name: str) -> FeatureSpec: ...
+    @overload
+    def get(self, kind: Literal["command"], name: str) -> CommandSpec: ...
     @overload
     def get(self, kind: str, name: str) -> Spec: ...
     def get(self, kind: str, name: str) -> Spec:
@@ -110,8 +122,8 @@ def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
     )
 
 
-def _check_kind(kind: str) -> None:
-    if kind not in KINDS:
-        close = get_close_matches(kind, KINDS, n=1)
+def _check_kind(kind: str, kinds: Mapping[str, type[Spec]]) -> None:
+    if kind not in kinds:
+        close = get_close_matches(kind, kinds, n=1)
         nearest = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigurationError(f"{kind!r} is no kind of plugin, expected one of {', '.join(KINDS)}.{nearest}")
+        raise ConfigurationError(f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}.{nearest}")

@@ -216,7 +216,53 @@ class RobotSpec(Spec):
         return next((d for d in self.drivers if d.name == name), None)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FeatureSpec(Spec):
+    """Something the server can do: tools, resources, a transport, reactions to events.
+
+    Attributes:
+        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section, called as the feature with
+            underscores, and `config` is the model of that section. Otherwise `config` has one field for each key.
+        transports: values of `[server] transport` that it serves.
+        hooks: "module:attribute" of a mapping from names of further hooks to their descriptor classes; the module
+            also holds a hook specification (`hookspec`) of each of these names. Imported while plugins are
+            discovered, so it must be as light as a plugin module.
+        needs: names of features without which it does not work.
+    """
+
+    kind: ClassVar[str] = "feature"
+
+    sections: tuple[str, ...] = ()
+    transports: tuple[str, ...] = ()
+    hooks: str | None = None
+    needs: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Top-level keys of roboneuron.toml that belong to it."""
+        if self.sections or self.config is None:
+            return self.sections
+        return (self.name.replace("-", "_"),)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CommandSpec(Spec):
+    """A command of `roboneuron`, called by its name; `config` is not used."""
+
+    kind: ClassVar[str] = "command"
+
+
 KINDS: dict[str, type[Spec]] = {
-    spec.kind: spec for spec in (BackendSpec, RuntimeSpec, AccelerationSpec, PerceptionSpec, ControllerSpec, RobotSpec)
+    spec.kind: spec
+    for spec in (
+        BackendSpec,
+        RuntimeSpec,
+        AccelerationSpec,
+        PerceptionSpec,
+        ControllerSpec,
+        RobotSpec,
+        FeatureSpec,
+        CommandSpec,
+    )
 }
-"""Descriptor class by kind."""
+"""Descriptor class by kind, of the kinds that core knows; a feature's `hooks` may bring more."""

@@ -25,8 +25,12 @@ from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of
 from roboneuron.server.catalogue import catalogue_tools
+from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.direct.path import DirectPath
+from roboneuron.server.events import Events
+from roboneuron.server.features import Features
 from roboneuron.server.guard import Guard
+from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.lost import watching
 from roboneuron.server.notices import ToolNotices
@@ -38,12 +42,13 @@ from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.resources import Resources
+from roboneuron.server.resources import STATUS_URI, Resources
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import LineReader, LineWriter, ReadableMessages
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.supervisor.watch import Watch
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -123,21 +128,29 @@ class Application:
     """Everything `roboneuron serve` consists of; `close` ends all of it."""
 
     def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
-        self._started_s = time.monotonic()
+        self.started_s = time.monotonic()
         self._is_joining = False
+        self._joining = anyio.Lock()
+        self.events = Events()
         self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
         self.supervisor = supervisor or Supervisor(
-            state_directory(config.supervisor.state_directory), on_change=self._on_module
+            state_directory(config.supervisor.state_directory), on_change=self.events.tell_change
         )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self.loop.on_stop = self.events.tell_stop
+        self.features = Features(config, self.plugins.current())
         self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
-        self.guard = Guard(self.loop, self.notices.resource_updated)
+        self._watch = Watch(self.supervisor.views, (self.events.tell_health,))
+        self._diagnostics = HealthDiagnostics(self.supervisor)
+        self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
+        self.events.on_health(self._diagnostics.publish)
+        self.guard = Guard(self.loop, self.events, self.notices.resource_updated)
         self.operating = Operating(config.server.lease_s, self.loop.emergency_stop.audit, self._on_lapse)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
-                *observing_tools(self.loop, self._started_s),
+                *observing_tools(self.loop, self.started_s),
                 *closed_loop_tools(self.loop),
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
@@ -149,12 +162,17 @@ class Application:
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
         )
+        self.host = Host(self)
+        offered = self.features.offer(self.host, self.tools)
         self.direct.fill(self.tools)
-        self.resources = Resources(self.loop, self._started_s)
+        self.events.on_change(self._on_module)
+        self.resources = Resources(self.loop, self.started_s, offered)
         self.server = self._build(config.server.name)
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent."""
+        self._watch.close()
+        self.features.close()
         self.operating.close()
         self.guard.close()
         self.direct.close()
@@ -168,17 +186,20 @@ class Application:
         self._is_joining = True
         self.direct.open()
         self.guard.start()
+        self._watch.start()
         self.operating.start()
 
     async def _join_ros(self) -> None:
         """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
 
-        What cannot be joined is told by the tools that need it.
+        Features start then. What cannot be joined is told by the tools that need it.
         """
-        if self._is_joining:
-            with suppress(RoboNeuronError):
-                await to_thread.run_sync(lambda: self.supervisor.link)
-            self._is_joining = False
+        async with self._joining:
+            if self._is_joining:
+                with suppress(RoboNeuronError):
+                    await to_thread.run_sync(lambda: self.supervisor.link)
+                await to_thread.run_sync(self.features.start, self.host)
+                self._is_joining = False
 
     async def settle(self) -> None:
         """Once ROS is joined: hear the emergency stops of other nodes; and see `shorten_pauses`."""
@@ -188,11 +209,14 @@ class Application:
         await to_thread.run_sync(shorten_pauses)
 
     def _on_lapse(self, reason: str) -> None:
+        self.end_motion(reason, _LAPSE_S)
+        self.events.tell_fault("inference", "lease", {"explanation": reason})
+
+    def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
-        self.direct.desk.end_all(reason, _LAPSE_S)
+        self.direct.desk.end_all(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
-        self.guard.incidents.record("inference", "lease", {"explanation": reason})
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""

@@ -1,14 +1,12 @@
-"""What follows from a module's health: notifications, /diagnostics, incident records, restarts; and memory limits."""
+"""What follows from a module's health: incident records and restarts; and memory limits."""
 
 from __future__ import annotations
 
 import logging
-import os
-import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
 
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.events import Events
 from roboneuron.server.incidents import FOLDER, Incidents
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.resources import STATUS_URI
@@ -16,10 +14,7 @@ from roboneuron.server.results import module_status
 from roboneuron.supervisor.memory import MemoryWatch
 from roboneuron.supervisor.restarts import Restarts
 from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health, Watch
-
-if TYPE_CHECKING:
-    from diagnostic_msgs.msg import DiagnosticArray
+from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -32,33 +27,29 @@ class Guard:
 
     Args:
         loop: what is watched.
+        events: what it listens to.
         notify: told the URI of a resource that changed; called from the watching thread.
     """
 
-    def __init__(self, loop: ClosedLoop, notify: Callable[[str], None]) -> None:
+    def __init__(self, loop: ClosedLoop, events: Events, notify: Callable[[str], None]) -> None:
         self._loop = loop
         self._notify = notify
-        self._publish: Callable[[DiagnosticArray], None] | None = None
         self.incidents = Incidents(loop.supervisor.state_directory / FOLDER)
         self.restarts = Restarts(loop.supervisor, self._note_restart)
         self._memory = MemoryWatch(loop.supervisor, self._note_memory)
-        loop.on_stop = self.restarts.cancel
-        listeners = (self._tell, self._record, self.restarts.on_health, self._diagnose)
-        self._watch = Watch(loop.supervisor.views, listeners)
+        events.on_stop(self.restarts.cancel)
+        events.on_health(self._record)
+        events.on_health(self.restarts.on_health)
+        events.on_fault(self.incidents.record)
 
     def start(self) -> None:
         """Begin to watch."""
-        self._watch.start()
         self._memory.start()
 
     def close(self) -> None:
         """End watching and restarting; idempotent."""
         self.restarts.close()
         self._memory.close()
-        self._watch.close()
-
-    def _tell(self, view: ModuleView, before: Health, health: Health) -> None:
-        self._notify(STATUS_URI)
 
     def _record(self, view: ModuleView, before: Health, health: Health) -> None:
         if health not in FAULTS:
@@ -86,29 +77,3 @@ class Guard:
 
     def _note_memory(self, kind: ModuleKind, what: str) -> None:
         self.incidents.record(kind, "memory", {"explanation": what, "actions": self._loop.last_actions(_ACTIONS)})
-
-    def _diagnose(self, view: ModuleView, before: Health, health: Health) -> None:
-        """Say on /diagnostics what a module cannot say itself."""
-        if view.choice is None:
-            return
-        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
-
-        from roboneuron.ros.qos import STATUS
-        from roboneuron.ros.topics import DIAGNOSTICS
-
-        link = self._loop.supervisor.link
-        if self._publish is None:
-            self._publish = link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
-        level: Any = DiagnosticStatus.OK
-        if health in FAULTS:
-            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
-        told = DiagnosticStatus(
-            level=level,
-            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
-            message=EXPLANATIONS[health],
-            hardware_id=str(os.getpid()),
-            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
-        )
-        message = DiagnosticArray(status=[told])
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
-        self._publish(message)

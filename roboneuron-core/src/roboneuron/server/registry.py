@@ -64,6 +64,24 @@ class ToolRegistry:
         self._tools[tool.name] = tool
         self._output_schemas[tool.name] = output_schema(tool.result)
 
+    def add_all(self, tools: Iterable[Tool[Any] | DerivedTool]) -> None:
+        """Add all of them, or none.
+
+        Raises:
+            InternalError: there is one of a name already.
+        """
+        added: list[str] = []
+        try:
+            for tool in tools:
+                if isinstance(tool, DerivedTool):
+                    raise InternalError(f"{tool.name!r} is a derived tool; those are added by `replace_derived`.")
+                self.add(tool)
+                added.append(tool.name)
+        except Exception:
+            for name in added:
+                self.remove(name)
+            raise
+
     def remove(self, name: str) -> None:
         """Remove a tool; nothing happens when there is none."""
         self._tools.pop(name, None)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.observing import status
 from roboneuron.server.records import SOURCES, log_file
@@ -16,11 +19,12 @@ LOG_LINES = 500
 
 
 class Resources:
-    """Lists and reads them."""
+    """Lists and reads them: the server's own, and those that features offer."""
 
-    def __init__(self, loop: ClosedLoop, started_s: float) -> None:
+    def __init__(self, loop: ClosedLoop, started_s: float, offered: Iterable[Resource] = ()) -> None:
         self._loop = loop
         self._started_s = started_s
+        self._offered = {resource.uri: resource for resource in offered}
 
     def listing(self) -> list[types.Resource]:
         """What `resources/list` answers."""
@@ -42,6 +46,16 @@ class Resources:
                 )
                 for source in SOURCES
             ),
+            *(
+                types.Resource(
+                    name=offered.name,
+                    title=offered.title,
+                    uri=offered.uri,
+                    description=offered.description,
+                    mime_type=offered.mime_type,
+                )
+                for offered in self._offered.values()
+            ),
         ]
 
     def read(self, uri: str) -> types.TextResourceContents:
@@ -57,6 +71,9 @@ class Resources:
             if uri == f"{LOG_URI}{source}":
                 lines = read_tail(log_file(self._loop, source), lines=LOG_LINES)
                 return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
+        offered = self._offered.get(uri)
+        if offered is not None:
+            return types.TextResourceContents(uri=uri, mime_type=offered.mime_type, text=offered.read())
         raise self._unknown(uri)
 
     def check(self, uri: str) -> None:

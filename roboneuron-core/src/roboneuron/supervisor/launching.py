@@ -13,7 +13,7 @@ from pathlib import Path
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.priority import lower
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes
@@ -53,7 +53,7 @@ class Launcher:
         command: Command,
         log_directory: Path,
         on_spawn: Callable[[], None],
-        on_change: Stage,
+        on_change: Callable[[ModuleKind], object],
     ) -> None:
         self._connection = connection
         self._board = board

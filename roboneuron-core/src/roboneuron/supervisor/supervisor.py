@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,7 +48,7 @@ class Supervisor:
         state_directory: Path,
         *,
         command: Command = module_command,
-        on_change: Stage = _ignore,
+        on_change: Callable[[ModuleKind], object] = _ignore,
     ) -> None:
         self.state_directory = state_directory
         self.log_directory = run_directory(state_directory)

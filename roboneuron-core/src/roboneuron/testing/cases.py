@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 from roboneuron.contract import (
     Acceleration,
@@ -21,12 +21,14 @@ from roboneuron.contract import (
     RobotProfile,
     Runtime,
 )
-from roboneuron.plugins.loading import load_options, load_target
+from roboneuron.plugins.loading import load_options, load_options_model, load_target
 from roboneuron.plugins.specs import (
     AccelerationSpec,
     BackendSpec,
+    CommandSpec,
     ControllerSpec,
     DriverSpec,
+    FeatureSpec,
     PerceptionSpec,
     RobotSpec,
     RuntimeSpec,
@@ -34,6 +36,12 @@ from roboneuron.plugins.specs import (
 )
 from roboneuron.testing.fakes import MemoryTopics, gantry_profile, make_observation
 from roboneuron.testing.rule import NotApplicable, Violation
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from roboneuron.cli.commands import CommandModule
+    from roboneuron.server.feature import Feature
 
 S = TypeVar("S", bound=Spec)
 P = TypeVar("P")
@@ -256,6 +264,53 @@ class RobotCase(Case[RobotSpec]):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FeatureCase(Case[FeatureSpec]):
+    """A feature to try; `options` are its section of roboneuron.toml, or its sections by key when it has several.
+
+    Attributes:
+        needs: descriptors of the features that it needs.
+    """
+
+    subject: ClassVar[str] = "feature"
+
+    needs: tuple[FeatureSpec, ...] = ()
+
+    def sections(self) -> dict[str, object]:
+        """The sections as they stand in roboneuron.toml."""
+        if not self.options:
+            return {}
+        return dict(self.options) if self.spec.sections else {self.spec.keys[0]: dict(self.options)}
+
+    def options_model(self) -> type[BaseModel] | None:
+        """The class of its options."""
+        return load_options_model(self.spec)
+
+    def configuration(self) -> object:
+        """The validated options, or None when the descriptor takes none."""
+        model = self.options_model()
+        return None if model is None else model.model_validate(self.options)
+
+    def build(self) -> Feature[Any]:
+        """A new feature, not started."""
+        return cast("Feature[Any]", self._target(self.spec)(self.configuration()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandCase(Case[CommandSpec]):
+    """A command to try; it is never run."""
+
+    subject: ClassVar[str] = "command"
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """The class takes none."""
+        return (), {}
+
+    def build(self) -> CommandModule:
+        """A new command."""
+        return cast("CommandModule", self._target(self.spec)())
+
+
+@dataclass(frozen=True, kw_only=True)
 class PackageCase:
     """An installed distribution to examine.
 
@@ -277,5 +332,7 @@ CASES: dict[str, type[Case[Any]]] = {
     "perception": PerceptionCase,
     "controller": ControllerCase,
     "robot": RobotCase,
+    "feature": FeatureCase,
+    "command": CommandCase,
 }
 """Case class by descriptor kind."""

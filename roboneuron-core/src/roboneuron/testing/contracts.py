@@ -9,7 +9,9 @@ import pytest
 from roboneuron.testing.cases import (
     AccelerationCase,
     BackendCase,
+    CommandCase,
     ControllerCase,
+    FeatureCase,
     PackageCase,
     PerceptionCase,
     RobotCase,
@@ -114,6 +116,34 @@ class RobotContract:
 
     @_for_each_rule("robot")
     def test_contract(self, rule: Rule[RobotCase], plugin: RobotCase) -> None:
+        """The rule holds."""
+        _report(rule, plugin)
+
+
+class FeatureContract:
+    """Subclass as `TestX` and override `plugin`; every rule of features becomes a test."""
+
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        """The feature to test."""
+        raise NotImplementedError("override the fixture `plugin` and return a FeatureCase")
+
+    @_for_each_rule("feature")
+    def test_contract(self, rule: Rule[FeatureCase], plugin: FeatureCase) -> None:
+        """The rule holds."""
+        _report(rule, plugin)
+
+
+class CommandContract:
+    """Subclass as `TestX` and override `plugin`; every rule of commands becomes a test."""
+
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        """The command to test."""
+        raise NotImplementedError("override the fixture `plugin` and return a CommandCase")
+
+    @_for_each_rule("command")
+    def test_contract(self, rule: Rule[CommandCase], plugin: CommandCase) -> None:
         """The rule holds."""
         _report(rule, plugin)
 

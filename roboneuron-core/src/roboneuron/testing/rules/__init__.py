@@ -6,9 +6,11 @@ from roboneuron.testing.rule import Rule
 from roboneuron.testing.rules import (
     acceleration,
     backend,
+    command,
     controller,
     descriptor,
     driver,
+    feature,
     package,
     perception,
     robot,
@@ -22,6 +24,8 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
     "perception": (*descriptor.RULES, *perception.RULES),
     "controller": (*descriptor.RULES, *controller.RULES),
     "robot": (*descriptor.RULES, *robot.RULES, *driver.RULES),
+    "feature": (*descriptor.RULES, *feature.RULES),
+    "command": (*descriptor.RULES, *command.RULES),
     "package": package.RULES,
 }
 """Rules by kind of descriptor, and those of packages."""

@@ -18,7 +18,7 @@ SUMMARY_LENGTH = 120
 
 
 def _check_well_formed(case: AnyCase) -> None:
-    check_spec(case.spec, case.spec.kind)
+    check_spec(case.spec, type(case.spec))
 
 
 def _check_compatible(case: AnyCase) -> None:

@@ -1,0 +1,48 @@
+"""What a module cannot say itself (it is frozen, or gone), said by the server on /diagnostics."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.supervisor.view import ModuleView
+from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+
+class HealthDiagnostics:
+    """Publishes every change of a module's health; `publish` is a listener of `Events.on_health`."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._send: Callable[[DiagnosticArray], None] | None = None
+
+    def publish(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Publish one change."""
+        if view.choice is None:
+            return
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
+
+        from roboneuron.ros.qos import STATUS
+        from roboneuron.ros.topics import DIAGNOSTICS
+
+        if self._send is None:
+            self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
+        level: Any = DiagnosticStatus.OK
+        if health in FAULTS:
+            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+        told = DiagnosticStatus(
+            level=level,
+            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
+            message=EXPLANATIONS[health],
+            hardware_id=str(os.getpid()),
+            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
+        )
+        message = DiagnosticArray(status=[told])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+        self._send(message)

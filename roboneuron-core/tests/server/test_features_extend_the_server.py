@@ -1,0 +1,158 @@
+"""Features bring tools, resources, start and close; a broken one hurts nobody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roboneuron import CallContext, Feature, FeatureSpec, Host, NoArguments, Resource, Result, StateError, Tool
+from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError, RoboNeuronError
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.fakes import fake_registry
+
+TRACE: list[str] = []
+
+
+class Number(Result):
+    value: int
+
+
+class Odometer(Feature[None]):
+    """Everything that a feature may bring."""
+
+    def tools(self, host: Host) -> list[Tool[Any]]:
+        async def read(_: NoArguments, context: CallContext) -> Number:
+            return Number(value=len(host.supervisor.views()))
+
+        host.events.on_fault(lambda module, what, facts: TRACE.append(f"fault {module} {what}"))
+        return [
+            Tool(
+                name="read_odometer",
+                title="Read the odometer",
+                description="How far the TCP has travelled.",
+                arguments=NoArguments,
+                result=Number,
+                handler=read,
+                read_only=True,
+            )
+        ]
+
+    def resources(self, host: Host) -> list[Resource]:
+        return [Resource(uri="roboneuron://odometer", name="o", title="O", description="D", read=lambda: "12 m")]
+
+    def start(self, host: Host) -> None:
+        TRACE.append("start")
+
+    def close(self) -> None:
+        TRACE.append("close")
+
+
+class Dependent(Feature[None]):
+    def tools(self, host: Host) -> list[Tool[Any]]:
+        TRACE.append(type(host.feature("odometer", Odometer)).__name__)
+        with pytest.raises(StateError):
+            host.feature("odometer", Dependent)
+        return []
+
+
+class BadTools(Feature[None]):
+    def tools(self, host: Host) -> list[Tool[Any]]:
+        own = Odometer(None).tools(host)
+        return [*own, *own]
+
+
+class BadStart(Feature[None]):
+    def start(self, host: Host) -> None:
+        raise ConnectionError("no cable")
+
+
+class BadClose(Odometer):
+    def close(self) -> None:
+        raise RuntimeError("cannot let go")
+
+
+def spec(cls: type[Any], name: str = "odometer", **more: Any) -> FeatureSpec:
+    return FeatureSpec(name=name, summary="A feature.", target=f"{__name__}:{cls.__name__}", **more)
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    import sys
+
+    monkeypatch.setitem(sys.modules, __name__, sys.modules.get(__name__) or _this())
+    made: list[Application] = []
+
+    def build(*specs: FeatureSpec, **config: Any) -> Application:
+        registry = fake_registry(*specs)
+        application = Application(
+            Config.model_validate({"robot": {"name": "gantry"}, **config}),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        return application
+
+    TRACE.clear()
+    yield build
+    for application in made:
+        application.close()
+
+
+def _this() -> Any:
+    import types
+
+    module = types.ModuleType(__name__)
+    vars(module).update(globals())
+    return module
+
+
+def test_a_feature_brings_tools_resources_and_a_life_of_its_own(make):
+    application = make(spec(Odometer))
+    assert "read_odometer" in {tool.name for tool in application.tools.listing("viewer")}
+    assert application.resources.read("roboneuron://odometer").text == "12 m"
+    assert "roboneuron://odometer" in {resource.uri for resource in application.resources.listing()}
+    application.features.start(application.host)
+    application.events.tell_fault("control", "lease", {})
+    application.close()
+    assert TRACE == ["start", "fault control lease", "close"]
+
+
+def test_what_a_feature_needs_is_there_before_it(make):
+    make(spec(Dependent, "a-first", needs=("odometer",)), spec(Odometer))
+    assert TRACE == ["Odometer"]
+
+
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (spec(BadTools, "bad"), "two tools called"),
+        (FeatureSpec(name="bad", summary="X.", target=f"{__name__}:Missing"), "no attribute 'Missing'"),
+        (FeatureSpec(name="bad", summary="X.", target=f"{__name__}:Number"), "bad"),
+        (spec(Dependent, "bad", needs=("absent",)), "needs the feature 'absent'"),
+    ],
+)
+def test_a_broken_feature_is_left_out_and_the_others_stay(make, broken, reason):
+    application = make(broken, spec(Odometer))
+    assert reason in application.features.failed["bad"] or reason in broken.name
+    names = {tool.name for tool in application.tools.listing()}
+    assert {"get_status", "emergency_stop"} <= names
+    assert ("read_odometer" in names) == (application.features.get("odometer") is not None)
+
+
+def test_a_feature_that_cannot_start_or_close_disturbs_nobody(make):
+    application = make(spec(BadStart, "bad"), spec(BadClose))
+    application.features.start(application.host)
+    assert application.features.failed == {"bad": "ConnectionError: no cable"}
+    application.close()
+
+
+def test_a_feature_that_the_configuration_asks_for_must_work(make):
+    with pytest.raises(RoboNeuronError, match="'bad' could not be asked for its tools"):
+        make(spec(BadTools, "bad"), features=["bad"])
+    with pytest.raises(ConfigurationError, match="There is no feature 'evaluatio'"):
+        make(spec(Odometer), features=["evaluatio"])

@@ -1,0 +1,12 @@
+"""A feature that would publish by itself."""
+
+from broken_features import Good
+
+
+class Gateless(Good):
+    """Looks harmless."""
+
+    def start(self, host: object) -> None:
+        import rclpy
+
+        rclpy.create_node("gateless")
