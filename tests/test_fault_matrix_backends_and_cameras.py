@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, module_status
 from roboneuron.server.selection import InferenceRequest
@@ -237,7 +237,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
-    """What a process leaves behind that is killed in the middle of a message (see `roboneuron.ros.lost_ports`)."""
+    """What a process leaves behind that is killed in the middle of a message (see `rn_fastdds.lost_ports`)."""
     cell.loop.stop("perception")
     process = cell.loop.supervisor.slot("inference").process
     assert process is not None

@@ -15,7 +15,6 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import StateError
-from roboneuron.ros.segments import SHARED_MEMORY, owned_segments
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -77,25 +76,19 @@ def test_what_does_not_leave_is_killed_with_its_children(
         wait_until(lambda: is_gone(int(report.metrics["child_pid"])), PATIENCE_S, "its child is gone")
 
 
-def test_a_frozen_process_is_killed_and_leaves_no_shared_memory(
-    supervisor: Supervisor, make_config: MakeConfig
-) -> None:
+def test_a_frozen_process_is_killed(supervisor: Supervisor, make_config: MakeConfig) -> None:
     pid = start(supervisor, make_config(stop_timeout_s=1.0))
-    segments = owned_segments(pid)
-    assert segments
     os.kill(pid, signal.SIGSTOP)
     stopped = supervisor.stop("robot")
     assert stopped is not None
     assert stopped.killed
     assert is_gone(pid)
-    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
 
 
 def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
     pid = start(supervisor, make_config())
-    segments = owned_segments(pid)
     killed_s = time.monotonic()
     os.kill(pid, signal.SIGKILL)
     wait_until(lambda: supervisor.view("robot").phase == "exited", 0.5, "the death is in the status")
@@ -104,7 +97,6 @@ def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
     assert view.exit is not None
     assert (view.exit.pid, view.exit.code) == (pid, -9)
     assert "fake robot with fault ''" in view.exit.last_lines
-    assert [name for name in segments if (SHARED_MEMORY / name).exists()] == []
     with pytest.raises(StateError, match=rf"\(pid {pid}\) ended by itself with signal 9"):
         supervisor.stop("robot")
     start(supervisor, make_config())
@@ -154,24 +146,15 @@ time.sleep(60)
 """
 
 
-def test_what_a_killed_server_leaves_is_cleaned_by_the_next_one(
+def test_the_modules_of_a_killed_server_end_with_it(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> None:
     script = PARENT.format(command=fake_command(None), state=str(tmp_path))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         pids = [int(parent.stdout.readline()) for _ in range(3)]
-        segments = owned_segments(parent.pid)
         parent.kill()
     wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both modules are gone, and the child of one")
-    assert segments
-    following = Supervisor(tmp_path, command=fake_command)
-    following.open()
-    assert following.link is not None
-    following.close()
-    own = [name for name in segments if "port" not in name]  # others may have taken a port over in the meantime
-    assert [name for name in own if (SHARED_MEMORY / name).exists()] == []
-    assert list(tmp_path.glob("log/*/shared_memory")) == []
 
 
 def test_modules_and_their_children_die_when_their_parent_is_killed(

@@ -12,9 +12,9 @@ from roboneuron.errors import StateError
 from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.signals import Signals
+from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.ros.lost_ports import watch_ports
 
 
 def _read_line() -> str:
@@ -60,7 +60,8 @@ def _run(settings: ModuleSettings) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     watch_stdin(signals.leave, node.note_beat)
-    watch_ports()
+    for reference in settings.on_join:
+        _call(reference)
     try:
         is_leaving = False
         while not is_leaving:  # wakes with every turn of the node's loop timer
@@ -75,6 +76,14 @@ def _run(settings: ModuleSettings) -> None:
         node.release()
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _call(reference: str) -> None:
+    """Call what a feature wants called in every process that has joined ROS."""
+    try:
+        load_attribute(reference, "`on_join` of a feature")()  # type: ignore[operator]
+    except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
+        logging.exception("%s cannot be used in this module.", reference)
 
 
 def main() -> None:

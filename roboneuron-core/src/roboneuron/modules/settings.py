@@ -20,6 +20,7 @@ class ModuleSettings(BaseModel):
         node_name: name of its ROS node under the robot's namespace; the kind unless several run side by side.
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
+        on_join: "module:attribute" of functions that features want called once ROS is joined.
         shadow: work on live inputs without publishing until its turn comes, see `roboneuron.modules.turn`.
     """
 
@@ -30,6 +31,7 @@ class ModuleSettings(BaseModel):
     config: Config
     state_directory: str
     shadow: bool = False
+    on_join: tuple[str, ...] = ()
 
     @property
     def status_name(self) -> str:

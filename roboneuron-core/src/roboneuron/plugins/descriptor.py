@@ -89,6 +89,8 @@ def _check_feature(spec: FeatureSpec) -> None:
     who = f"feature {spec.name!r}"
     if spec.sections and spec.config is None:
         raise PluginError(f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.")
+    if spec.on_join is not None:
+        _check_target(spec.on_join, f"`on_join` of {who}")
     for key in spec.keys:
         if not KEY_PATTERN.fullmatch(key):
             raise PluginError(f"The section {key!r} of {who} is malformed, expected lower-case letters, digits and _.")

@@ -228,6 +228,8 @@ class FeatureSpec(Spec):
             also holds a hook specification (`hookspec`) of each of these names. Imported while plugins are
             discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
+        on_join: "module:attribute" of a function without arguments that every module process calls once it has joined
+            ROS; None for none. In the server, `start` is the place for that.
     """
 
     kind: ClassVar[str] = "feature"
@@ -236,6 +238,7 @@ class FeatureSpec(Spec):
     transports: tuple[str, ...] = ()
     hooks: str | None = None
     needs: tuple[str, ...] = ()
+    on_join: str | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:

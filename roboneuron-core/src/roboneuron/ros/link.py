@@ -16,7 +16,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from roboneuron.errors import InternalError
-from roboneuron.ros.lost_ports import watch_ports
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -77,7 +76,6 @@ class RosLink:
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="ros-link", daemon=True)
         self._thread.start()
-        watch_ports()
 
     def close(self) -> None:
         """Leave the graph; idempotent."""

@@ -139,6 +139,7 @@ class Application:
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
         self.loop.on_stop = self.events.tell_stop
         self.features = Features(config, self.plugins.current())
+        self.supervisor.on_join = self.features.on_join
         self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
         self._watch = Watch(self.supervisor.views, (self.events.tell_health,))

@@ -41,6 +41,11 @@ class Features:
         """A loaded feature, or None."""
         return self._loaded.get(name)
 
+    @property
+    def on_join(self) -> tuple[str, ...]:
+        """What every module calls once it has joined ROS."""
+        return tuple(reference for spec, _ in self._all() if (reference := spec.on_join) is not None)
+
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
         """Add every feature's tools, and return all their resources."""
         resources: list[Resource] = []

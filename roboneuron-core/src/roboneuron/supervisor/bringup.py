@@ -70,7 +70,7 @@ class Bringup:
         self._transition("configure", deadline_s)
         self._transition("activate", deadline_s)
         self._await_ready(deadline_s)
-        self._process.note_segments()
+        self._process.show()
 
     def _transition(self, name: str, deadline_s: float) -> None:
         self._stage(f"{name.removesuffix('e')}ing")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 from collections.abc import Callable
@@ -13,18 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.ros.segments import owned_segments
-from roboneuron.supervisor.shared_memory import (
-    RECORD_NAME,
-    SegmentRecord,
-    clean_abandoned,
-    clean_recorded,
-)
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
-log = logging.getLogger(__name__)
 _OPEN_TIMEOUT_S = 30.0
 
 
@@ -34,7 +25,6 @@ class Connection:
     def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
         self._on_status = on_status
         self._log_directory = log_directory
-        self.segments = SegmentRecord(log_directory / RECORD_NAME)
         self._lock = threading.Lock()
         self._opened: Future[RosLink] | None = None
         self._closed = False
@@ -71,7 +61,6 @@ class Connection:
             opened = self._opened
         if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
             opened.result().close()
-            self.segments.close()
 
     def _open(self, opened: Future[RosLink]) -> None:
         try:
@@ -80,11 +69,6 @@ class Connection:
 
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
-            clean_recorded(self._log_directory.parent.glob(f"*/{RECORD_NAME}"))
-            removed, size = clean_abandoned()
-            if removed:
-                log.info("Removed %d shared-memory files (%.0f MB) of processes that were killed.", removed, size / 1e6)
-            self.segments.add(owned_segments(os.getpid()))
             self._subscribe(link)
         except BaseException as error:  # handed to whoever asks for the link
             opened.set_exception(error)

@@ -43,7 +43,7 @@ def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[i
         NotReadyError: one survives SIGKILL.
     """
     for process in processes:
-        process.note_segments()
+        process.show()
         process.terminate()
     deadline_s = time.monotonic() + timeout_s
     killed = set()

@@ -20,6 +20,7 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
 from roboneuron.supervisor.ending import DEACTIVATE_S, deactivate, end_processes
 from roboneuron.supervisor.health import Report, StatusBoard
+from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.process import ModuleProcess, Spawner
 from roboneuron.supervisor.slot import Phase, Slot
 from roboneuron.supervisor.view import Stopped
@@ -42,6 +43,7 @@ class Launcher:
         log_directory: one file for each module.
         on_spawn: called after each spawn.
         on_change: called with the kind when a module started, stopped or ended by itself.
+        observers: told of every process.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class Launcher:
         log_directory: Path,
         on_spawn: Callable[[], None],
         on_change: Callable[[ModuleKind], object],
+        observers: ProcessObservers,
     ) -> None:
         self._connection = connection
         self._board = board
@@ -62,7 +65,7 @@ class Launcher:
         self._log_directory = log_directory
         self._on_spawn = on_spawn
         self._on_change = on_change
-        self._spawner = Spawner()
+        self._spawner = Spawner(observers)
         self._starts = itertools.count(os.getpid())
 
     def close(self) -> None:
@@ -87,7 +90,6 @@ class Launcher:
                 slot, slot.process, settings, self._connection.link(), self._board, self._changes, on_stage
             )
             bringup.run(deadline_s)
-            self._connection.segments.add(slot.process.note_segments())
             phase = "running"
         finally:
             if phase != "running" and slot.process is not None:

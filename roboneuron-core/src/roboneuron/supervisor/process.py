@@ -7,34 +7,34 @@ frozen for ever, deaf to its death signal.
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from roboneuron.ros.dead_ports import LEASE_S, SilentPorts, release_dead_locks
-from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.logs import read_tail
-from roboneuron.supervisor.shared_memory import remove_stale
+from roboneuron.supervisor.observing import ProcessObservers
 
-log = logging.getLogger(__name__)
 LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
-_RECENT = 10
-"""Only the ports of so many processes wait for the end of their lease: their numbers are used again after 15."""
 
 
 class ModuleProcess:
     """A running child and, later, how it ended. Made by `Spawner.spawn`; every method may be called from any thread."""
 
-    def __init__(self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        child: subprocess.Popen[bytes],
+        log_path: Path,
+        log_offset: int,
+        observers: ProcessObservers,
+    ) -> None:
         self.name = name
         self.pid = child.pid
         self.log_path = log_path
@@ -43,9 +43,7 @@ class ModuleProcess:
         self._log_offset = log_offset
         self._reaping = threading.Lock()
         self._exited = threading.Event()
-        self._segments: frozenset[str] = frozenset()
-        self._silent: SilentPorts | None = None
-        self._silent_s = 0.0
+        self._observers = observers
 
     @property
     def exit_code(self) -> int | None:
@@ -61,17 +59,9 @@ class ModuleProcess:
         with suppress(OSError), self.log_path.open("a", encoding="utf-8") as log_file:
             log_file.write(f"{line}\n")
 
-    def note_segments(self) -> frozenset[str]:
-        """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
-        self._segments |= owned_segments(self.pid)
-        return self._segments
-
-    def retire_ports(self, after_s: float) -> bool:
-        """Whether it ended at least `after_s` ago; then those who wrote to it close its ports."""
-        if self._silent is None or time.monotonic() - self._silent_s < after_s:
-            return False
-        self._silent.retire()
-        return True
+    def show(self) -> None:
+        """Let observers look at it while it lives."""
+        self._observers.observe(self.pid)
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
@@ -87,7 +77,7 @@ class ModuleProcess:
 
     def kill(self) -> None:
         """SIGKILL to the process and everything it has started in its group."""
-        self.note_segments()
+        self.show()
         with self._reaping:
             if self._child.returncode is None:
                 _kill_group(self.pid)
@@ -109,11 +99,7 @@ class ModuleProcess:
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()
-            release_dead_locks()
-            self._silent_s, self._silent = time.monotonic(), SilentPorts(self._segments)
-            removed = remove_stale(self._segments)
-            if removed:
-                log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, self.name, self.pid)
+            self._observers.ended(self.pid, self.name)
             self._exited.set()
             on_exit(self)
 
@@ -128,9 +114,9 @@ def _kill_group(group: int) -> None:
 class Spawner:
     """Starts processes from one thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*."""
 
-    def __init__(self) -> None:
+    def __init__(self, observers: ProcessObservers) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
-        self._spawned: list[ModuleProcess] = []
+        self._observers = observers
 
     def spawn(
         self,
@@ -150,17 +136,11 @@ class Spawner:
     def close(self) -> None:
         """End the thread; children that are still alive get their death signal."""
         self._thread.shutdown(wait=True)
-        self._retire_ports(0.0)
-
-    def _retire_ports(self, after_s: float) -> None:
-        """Before their numbers are used again, which is so for the 15th process that is spawned after."""
-        oldest = len(self._spawned) - _RECENT
-        self._spawned = [p for i, p in enumerate(self._spawned) if not p.retire_ports(after_s if i >= oldest else 0.0)]
 
     def _spawn(
         self, name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
     ) -> ModuleProcess:
-        self._retire_ports(LEASE_S)
+        self._observers.spawning()
         log_path.parent.mkdir(parents=True, exist_ok=True)
         with log_path.open("ab") as output:
             offset = output.tell()
@@ -172,12 +152,11 @@ class Spawner:
                 env=dict(environment),
                 process_group=0,
             )
-        process = ModuleProcess(name, child, log_path, offset)
+        process = ModuleProcess(name, child, log_path, offset, self._observers)
         assert child.stdin is not None
         # A child that dies before it reads is noticed by its reaper.
         with suppress(BrokenPipeError):
             child.stdin.write(first_line.encode() + b"\n")
             child.stdin.flush()
         os.set_blocking(child.stdin.fileno(), False)
-        self._spawned.append(process)
         return process

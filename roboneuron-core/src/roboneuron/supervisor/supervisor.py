@@ -19,6 +19,7 @@ from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.heartbeat import Heartbeat
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
 from roboneuron.supervisor.logs import run_directory
+from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Choice, Slot
 from roboneuron.supervisor.view import ModuleView, Stopped
@@ -41,6 +42,10 @@ class Supervisor:
         state_directory: logs go to its `log` folder, and modules are told it.
         command: how to start a module under a given interpreter.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by itself.
+
+    Attributes:
+        observers: told of every module process.
+        on_join: what modules call once they have joined ROS, as "module:attribute".
     """
 
     def __init__(
@@ -53,6 +58,8 @@ class Supervisor:
         self.state_directory = state_directory
         self.log_directory = run_directory(state_directory)
         self.changes = Changes()
+        self.observers = ProcessObservers()
+        self.on_join: tuple[str, ...] = ()
         board = StatusBoard(self.changes)
         self._connection = Connection(board.receive, self.log_directory)
         self._heartbeat = Heartbeat(self._processes)
@@ -64,6 +71,7 @@ class Supervisor:
             log_directory=self.log_directory,
             on_spawn=self._heartbeat.start,
             on_change=on_change,
+            observers=self.observers,
         )
         self._on_change = on_change
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
@@ -276,7 +284,12 @@ class Supervisor:
 
     def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
         return ModuleSettings(
-            kind=kind, node_name=name, config=config, state_directory=str(self.state_directory), shadow=shadow
+            kind=kind,
+            node_name=name,
+            config=config,
+            state_directory=str(self.state_directory),
+            shadow=shadow,
+            on_join=self.on_join,
         )
 
     def _processes(self) -> list[ModuleProcess]:

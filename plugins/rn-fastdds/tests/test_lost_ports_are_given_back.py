@@ -13,8 +13,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
-from roboneuron.ros.lost_ports import LostPorts
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_fastdds.lost_ports import LostPorts
+from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 pytestmark = pytest.mark.ros
 Look = Callable[[LostPorts], list[int]]

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import rclpy
 
-from roboneuron.ros.dead_ports import SilentPorts, release_dead_locks
-from roboneuron.ros.port_record import (
+from rn_fastdds.dead_ports import SilentPorts, release_dead_locks
+from rn_fastdds.port_record import (
     IN_USE,
     IS_OK,
     LISTENER,
@@ -23,7 +23,7 @@ from roboneuron.ros.port_record import (
     find_record,
     lock_owner,
 )
-from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_fastdds.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, owned_segments
 
 pytestmark = pytest.mark.ros
 HOLDER = """

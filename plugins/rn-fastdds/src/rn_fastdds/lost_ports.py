@@ -17,9 +17,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from roboneuron.ros.dead_ports import release_dead_locks
-from roboneuron.ros.port_record import FLAGS, IS_OK, find_record
-from roboneuron.ros.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
+from rn_fastdds.dead_ports import release_dead_locks
+from rn_fastdds.port_record import FLAGS, IS_OK, find_record
+from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5

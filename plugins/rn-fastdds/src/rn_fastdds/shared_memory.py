@@ -1,6 +1,6 @@
 """Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives, removed afterwards.
 
-Its owner holds a lock on `<name>_el` (see `roboneuron.ros.segments`): one that can be taken after the owner's death
+Its owner holds a lock on `<name>_el` (see `rn_fastdds.segments`): one that can be taken after the owner's death
 proves that nobody else has taken the name over.
 """
 
@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from roboneuron.ros.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
+from rn_fastdds.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
 
 log = logging.getLogger(__name__)
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)

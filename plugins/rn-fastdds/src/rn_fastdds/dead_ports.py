@@ -18,8 +18,8 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from roboneuron.ros.port_record import FLAGS, IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
-from roboneuron.ros.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, port_number
+from rn_fastdds.port_record import FLAGS, IN_USE, IS_OK, LISTENER, LOCKS, WAITING, find_record, lock_owner
+from rn_fastdds.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, port_number
 
 log = logging.getLogger(__name__)
 LEASE_S = 25.0

@@ -7,7 +7,7 @@ import mmap
 import os
 from pathlib import Path
 
-from roboneuron.supervisor.shared_memory import clean_abandoned
+from rn_fastdds.shared_memory import clean_abandoned
 
 AGE_S = 3600.0
 

@@ -1,0 +1,1 @@
+"""Repair of Fast DDS shared memory after a process was killed."""

@@ -1,0 +1,109 @@
+"""With rn-fastdds, neither a killed module nor a killed server leaves shared memory behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from rn_fastdds.feature import SharedMemoryRepair
+from rn_fastdds.segments import SHARED_MEMORY, owned_segments
+from roboneuron.config import Config, parse_config
+from roboneuron.supervisor.supervisor import Supervisor
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
+FAKE_MODULE = Path(__file__).parents[1] / "roboneuron-core/tests/supervisor/fake_module.py"
+COMMAND = [sys.executable, "-u", "-P", str(FAKE_MODULE)]
+CONFIG = '[robot]\nname = "fake"\n[supervisor]\nstop_timeout_s = 1.0\n'
+SERVER = """
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from rn_fastdds.feature import SharedMemoryRepair
+from roboneuron.config import parse_config
+from roboneuron.supervisor.supervisor import Supervisor
+supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
+supervisor.link
+SharedMemoryRepair(None).start(SimpleNamespace(supervisor=supervisor))
+print(supervisor.start("robot", parse_config({config!r})).process.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def wait_until(fact: Callable[[], bool], what: str) -> None:
+    deadline_s = time.monotonic() + 15.0
+    while not fact():
+        assert time.monotonic() < deadline_s, f"not in time: {what}"
+        threading.Event().wait(0.02)
+
+
+def left(names: frozenset[str]) -> list[str]:
+    return [name for name in names if (SHARED_MEMORY / name).exists()]
+
+
+@pytest.fixture
+def config() -> Config:
+    return parse_config(CONFIG)
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    supervisor = Supervisor(tmp_path, command=lambda python: COMMAND)
+    repair = SharedMemoryRepair(None)
+    try:
+        assert supervisor.link
+        repair.start(cast(Any, SimpleNamespace(supervisor=supervisor)))
+        yield supervisor
+    finally:
+        supervisor.close()
+        repair.close()
+
+
+def test_a_frozen_module_that_had_to_be_killed(supervisor: Supervisor, config: Config) -> None:
+    process = supervisor.start("robot", config).process
+    assert process is not None
+    segments = owned_segments(process.pid)
+    assert segments
+    os.kill(process.pid, signal.SIGSTOP)
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert stopped.killed
+    assert left(segments) == []
+
+
+def test_a_module_that_was_killed(supervisor: Supervisor, config: Config) -> None:
+    process = supervisor.start("robot", config).process
+    assert process is not None
+    segments = owned_segments(process.pid)
+    os.kill(process.pid, signal.SIGKILL)
+    wait_until(lambda: supervisor.view("robot").phase == "exited", "the death is in the status")
+    assert left(segments) == []
+
+
+def test_a_server_that_was_killed(tmp_path: Path) -> None:
+    script = SERVER.format(command=COMMAND, state=str(tmp_path), config=CONFIG)
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        pid = int(server.stdout.readline())
+        segments = owned_segments(server.pid)
+        server.kill()
+    wait_until(lambda: not Path(f"/proc/{pid}").exists(), "the module is gone")
+    assert segments
+    following, repair = Supervisor(tmp_path, command=lambda python: COMMAND), SharedMemoryRepair(None)
+    following.open()
+    assert following.link is not None
+    repair.start(cast(Any, SimpleNamespace(supervisor=following)))
+    following.close()
+    repair.close()
+    own = frozenset(name for name in segments if "port" not in name)  # others may have taken a port over meanwhile
+    assert left(own) == []
+    assert list(tmp_path.glob("log/*/shared_memory")) == []
