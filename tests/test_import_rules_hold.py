@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+import roboneuron
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
@@ -30,7 +33,6 @@ ALLOWED: dict[str, set[str]] = {
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
     "testing": CONTRACT | {"plugins", "config", "supervisor", "server", "cli"},
     "client": LIGHT,
-    "demo": LIGHT | {"config", "client"},  # an ordinary MCP client: no private calls
     "doctor": CONTRACT | {"plugins", "config", "gate", "ros", "server"},
 }
 """Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
@@ -38,6 +40,8 @@ ROS_ROOMS = {"ros", "modules", "interfaces"}
 """Where rclpy may be imported."""
 FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
 """Rooms of the core that plugins may import."""
+FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"}
+"""What features and commands may import besides."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
 
@@ -109,14 +113,50 @@ def test_the_core_names_no_installed_plugin_in_code():
         assert not [p for p in packages if p in text], path
 
 
+def _is_public(name: str, allowed: set[str]) -> bool:
+    part = name.split(".")[1]
+    return part in allowed or (name.count(".") == 1 and part in roboneuron.__all__)
+
+
 def test_plugins_import_only_what_is_public_of_the_core():
-    breaches = [
-        f"{path.relative_to(PLUGINS)}:{line} imports {name}"
-        for path in sorted(PLUGINS.glob("*/src/**/*.py"))
-        for name, line in _imports(path)
-        if name.startswith("roboneuron.") and name.split(".")[1] not in FOR_PLUGINS
-    ]
+    breaches = []
+    for plugin in sorted(PLUGINS.glob("*/src/*/plugin.py")):
+        extends_the_server = any(word in plugin.read_text(encoding="utf-8") for word in ("FeatureSpec", "CommandSpec"))
+        allowed = FOR_PLUGINS | (FOR_FEATURES if extends_the_server else set())
+        breaches += [
+            f"{path.relative_to(PLUGINS)}:{line} imports {name}"
+            for path in sorted(plugin.parent.rglob("*.py"))
+            for name, line in _imports(path)
+            if name.startswith("roboneuron.") and not _is_public(name, allowed)
+        ]
     assert breaches == []
+
+
+def _at_import_time(path: Path) -> Iterator[str]:
+    """Modules of the core that importing this one imports."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_the_import_graph_of_the_core_has_no_cycle():
+    modules = {
+        ".".join(["roboneuron", *path.relative_to(CORE).with_suffix("").parts]).removesuffix(".__init__"): path
+        for path in CORE.rglob("*.py")
+        if "templates" not in path.parts
+    }
+    graph = {
+        name: {m for m in _at_import_time(path) if m in modules and m != name and modules[m].name != "__init__.py"}
+        for name, path in modules.items()
+        if path.name != "__init__.py"
+    }
+    try:
+        tuple(graphlib.TopologicalSorter(graph).static_order())
+    except graphlib.CycleError as error:
+        pytest.fail(f"modules import each other: {' -> '.join(error.args[1])}")
 
 
 @pytest.mark.parametrize("module", ["roboneuron.plugins.discovery", "roboneuron.planning", "roboneuron.cli.main"])

@@ -32,7 +32,6 @@ class CommandModule(Protocol):
 
 
 COMMANDS: dict[str, Command] = {
-    "demo": Command("roboneuron.cli.demo", "an agent stand-in picks up a cube with the simulated robot"),
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "doctor": Command("roboneuron.cli.doctor", "check whether this machine and a configuration are ready"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
