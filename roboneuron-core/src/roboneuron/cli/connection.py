@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING
 
 from roboneuron.client import leaves_of, spawned_server
 from roboneuron.errors import ConfigurationError
+from roboneuron.ros.environment import CLIENT_TOKEN
 
 if TYPE_CHECKING:
     from mcp import Client
-
-TOKEN_VARIABLE = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token for `--url`, when no other is named."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -27,7 +25,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--token-variable",
         metavar="NAME",
-        help=f"environment variable with the bearer token for --url; {TOKEN_VARIABLE} when that is set",
+        help=f"environment variable with the bearer token for --url; {CLIENT_TOKEN} when that is set",
     )
 
 
@@ -77,12 +75,12 @@ async def _knock(http: object, url: str) -> None:
     if answer.status_code == 401:
         raise ConfigurationError(
             f"The server at {url} refuses the token.",
-            hint=f"Name the variable that holds it with --token-variable, or set {TOKEN_VARIABLE}.",
+            hint=f"Name the variable that holds it with --token-variable, or set {CLIENT_TOKEN}.",
         )
 
 
 def _token(variable: str | None) -> str | None:
-    token = os.environ.get(variable or TOKEN_VARIABLE)
+    token = os.environ.get(variable or CLIENT_TOKEN)
     if variable is not None and not token:
         raise ConfigurationError(f"The environment variable {variable} is not set.")
     return token or None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import MutableMapping
+from collections.abc import Collection, MutableMapping
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -16,6 +16,8 @@ from tempfile import TemporaryFile
 from roboneuron.errors import ConfigurationError
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+CLIENT_TOKEN = "ROBONEURON_TOKEN"
+"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is named."""
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
 """How far the ports for a process's data lie above the first port of its domain; the shipped profile reads it."""
 _STANDARD_OFFSET = 11
@@ -98,12 +100,14 @@ def port_offset(domain: int, start: int) -> int:
     return slots[start % len(slots)] if slots else _STANDARD_OFFSET
 
 
-def module_environment(python: str | None, start: int) -> dict[str, str]:
+def module_environment(python: str | None, start: int, secrets: Collection[str] = ()) -> dict[str, str]:
     """Environment for the `start`-th module process, run by `python` (None: this interpreter).
+
+    It holds none of the variables called `secrets`, nor the token of our own client.
 
     Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its bootstrapper runs.
     """
-    environment = dict(os.environ)
+    environment = {name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)}
     domain = environment.get("ROS_DOMAIN_ID", "")
     environment[PORT_OFFSET] = str(port_offset(int(domain) if domain.isdecimal() else 0, start))
     if python is not None and Path(python).absolute() != Path(sys.executable).absolute():

@@ -11,17 +11,18 @@ from roboneuron.testing.rules import (
     driver,
     package,
     perception,
+    restricted,
     robot,
     runtime,
 )
 
 RULES: dict[str, tuple[Rule[Any], ...]] = {
-    "backend": (*descriptor.RULES, *backend.RULES),
-    "runtime": (*descriptor.RULES, *runtime.RULES),
-    "acceleration": (*descriptor.RULES, *acceleration.RULES),
-    "perception": (*descriptor.RULES, *perception.RULES),
-    "controller": (*descriptor.RULES, *controller.RULES),
-    "robot": (*descriptor.RULES, *robot.RULES, *driver.RULES),
+    "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES),
+    "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
+    "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
+    "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
+    "controller": (*descriptor.RULES, *restricted.RULES, *controller.RULES),
+    "robot": (*descriptor.RULES, *restricted.RULES, *robot.RULES, *driver.RULES),
     "package": package.RULES,
 }
 """Rules by kind of descriptor, and those of packages."""
