@@ -19,6 +19,7 @@ from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.packages import START, install_command
 from roboneuron.plugins.record import Status
 from roboneuron.ros.environment import prepare_environment, state_directory
 
@@ -90,7 +91,9 @@ def _shared_memory(_: Config) -> Finding:
 
 def _ros(_: Config) -> Finding:
     if importlib.util.find_spec("rclpy") is None:
-        return failed("rclpy is not installed.", "pip install roboneuron-core brings it: is this its environment?")
+        return failed(
+            "rclpy is not installed.", "It comes with roboneuron-core: is this the environment that it is installed in?"
+        )
     prepare_environment()
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say")
@@ -128,7 +131,7 @@ def _plugins(config: Config) -> Finding:
     bad = [r.distribution for r in records if r.status not in (Status.READY, Status.DISABLED)]
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
-        return failed(text, "pip install rn-robot-fr3 rn-controller-urdf rn-backend-servo is a start.")
+        return failed(text, f"For a start: {install_command(*START)}")
     if bad:
         return warning(f"{text} Not ready: {', '.join(bad)}.", "roboneuron plugins list says why and what to install.")
     return ok(text)

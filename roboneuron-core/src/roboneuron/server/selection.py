@@ -11,12 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, MissingDependencyError
+from roboneuron.errors import (
+    CheckpointError,
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    RoboNeuronError,
+)
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
 from roboneuron.server.option_rights import check_may_load, check_may_set
+from roboneuron.server.sections import check_sections
 
 Options = Mapping[str, Any]
 
@@ -259,16 +266,38 @@ def _unnamed(argument: str, kind: str, registry: Registry) -> InvalidInputError:
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
-    """Refuse a configuration that names what is not installed, before the server starts.
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as the `select_...` functions.
+        ConfigurationError, PlanningError: as the `select_...` functions and `check_sections`; all that is wrong.
     """
+    problems: dict[str, RoboNeuronError] = {}
+    for check in (_check_robot, _check_perception, _check_control, _check_inference, check_sections):
+        try:
+            check(config, registry)
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_robot(config: Config, registry: Registry) -> None:
     select_robot(config, registry, None, None, {})
+
+
+def _check_perception(config: Config, registry: Registry) -> None:
     if config.perception is not None:
         select_perception(config, registry, None, (), {})
+
+
+def _check_control(config: Config, registry: Registry) -> None:
     if config.control is not None:
         select_control(config, registry, None, {})
+
+
+def _check_inference(config: Config, registry: Registry) -> None:
     if config.inference is not None:
         try:
             select_inference(config, registry, InferenceRequest())
