@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import AsyncIterator
@@ -48,6 +49,7 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     from mcp.client.streamable_http import streamable_http_client  # heavy
     from mcp.shared.exceptions import MCPError
 
+    logging.getLogger("mcp").addHandler(logging.NullHandler())  # what it warns of becomes our error
     token = _token(arguments.token_variable)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     timeout = httpx2.Timeout(30.0, read=300.0)
@@ -56,11 +58,13 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
             await _knock(http, arguments.url)
             async with Client(streamable_http_client(arguments.url, http_client=http)) as client:
                 yield client
-    except (httpx2.HTTPError, httpx2.InvalidURL, MCPError, ExceptionGroup) as error:
+    except (httpx2.HTTPError, httpx2.InvalidURL, MCPError, OverflowError, ExceptionGroup) as error:
         cause = next(leaves_of(error))
-        if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError):
+        if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError | OverflowError):
             raise
-        raise ConfigurationError(f"The server at {arguments.url} does not answer as one: {cause}.") from cause
+        raise ConfigurationError(
+            f"The server at {arguments.url} does not answer as one: {str(cause).rstrip('.')}."
+        ) from cause
 
 
 async def _knock(http: object, url: str) -> None:

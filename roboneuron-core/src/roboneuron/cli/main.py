@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
@@ -11,14 +11,12 @@ from typing import cast
 
 from roboneuron import __version__
 from roboneuron.cli.commands import COMMANDS, CommandModule
-from roboneuron.errors import RoboNeuronError
+from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error
 
 EXIT_OK = 0
 """It is as asked."""
 EXIT_FAILED = 1
 """The command ran and its answer is no (a check failed, a plugin is not ready)."""
-EXIT_USAGE = 2
-"""The command could not run: wrong arguments, a wrong configuration, something not installed."""
 
 
 def build_parser() -> ArgumentParser:
@@ -40,6 +38,7 @@ def build_parser() -> ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status."""
+    accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
     parser = build_parser()
     if not words or words[0].startswith("-"):
@@ -52,23 +51,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(COMMANDS)}."
         print(f"roboneuron: there is no command {name!r}; {nearest}", file=sys.stderr)
         return EXIT_USAGE
-    module = cast(CommandModule, import_module(COMMANDS[name].module))
-    command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
-    module.configure(command_parser)
-    return _run(module, command_parser.parse_args(rest))
-
-
-def _run(module: CommandModule, arguments: Namespace) -> int:
     try:
-        return module.run(arguments)
-    except RoboNeuronError as error:
-        print(f"roboneuron: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        module = cast(CommandModule, import_module(COMMANDS[name].module))
+        command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
+        module.configure(command_parser)
+        return module.run(command_parser.parse_args(rest))
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return EXIT_OK
-    except KeyboardInterrupt:
-        return 130
+    except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:  # the border to whoever typed the command
+        return show_error(error)
 
 
 if __name__ == "__main__":
