@@ -30,6 +30,7 @@ class Options(BaseModel):
     gain: float = 1.0
     url: Annotated[str, ConfigurationOnly()] = "ws://here"
     camera: Camera = Camera()
+    key: Annotated[str, ConfigurationOnly()] = ""
     checkpoint: Annotated[Path | None, ConfigurationOnly()] = None
 
 
@@ -77,7 +78,6 @@ def select(config: Config, options: dict[str, Any], role: str = OPERATOR, backen
         ({"camera": {"rate_hz": 2.0}}, "plugins.distant.camera.device"),  # a table is replaced: its device would go
         ({"camera": None}, "plugins.distant.camera.device"),
         ({"camera": {"device": "/dev/video0", "gain": 1}}, "plugins.distant.camera.gain"),
-        ({"checkpoint": "/models"}, "plugins.distant.checkpoint"),
     ],
 )
 def test_a_restricted_option_is_refused(options: dict[str, Any], named: str, role: str) -> None:
@@ -103,8 +103,14 @@ def test_an_admin_may_set_what_is_listed_and_nobody_else() -> None:
     assert select(config, options, ADMIN).config.options("distant")["url"] == "ws://other"
     with pytest.raises(RefusedError, match=r"Only a client with the role 'admin' may set plugins\.distant\.url"):
         select(config, options, OPERATOR)
-    with pytest.raises(RefusedError, match=r"Only the configuration may set plugins\.distant\.checkpoint"):
-        select(config, {**options, "checkpoint": "/x"}, ADMIN)
+    with pytest.raises(RefusedError, match=r"Only the configuration may set plugins\.distant\.key"):
+        select(config, {**options, "key": "/x"}, ADMIN)
+
+
+@pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
+def test_a_checkpoint_among_the_options_is_refused_like_any_file(role: str) -> None:
+    with pytest.raises(RefusedError, match=r"A checkpoint is no option for clients.*argument `checkpoint`"):
+        select(configuration(SECTION), {"checkpoint": "/models"}, role)
 
 
 def test_options_of_a_plugin_that_cannot_be_imported_here_are_all_restricted(

@@ -165,7 +165,7 @@ def _in_value(annotations: Sequence[object], value: object, place: str) -> Itera
         for key, inner in value.items() if parts else ():
             yield from _in_value(parts, inner, f"{place}.{key}")
     elif isinstance(value, (list, tuple)):
-        for index, inner in enumerate(value):
+        for index, inner in enumerate(value) if parts else ():
             yield from _in_value(parts, inner, f"{place}.{index}")
     elif models and value is not None and not any(kind in _PLAIN for kind in kinds):
         yield place, value  # only the plugin knows what table that becomes

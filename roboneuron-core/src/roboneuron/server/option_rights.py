@@ -50,11 +50,12 @@ def check_may_set(
         changed = [key for key in changed if "." in key or key in known]
     keys = [f"{name}.{key}" for key in changed]
     barred = [key for key in keys if not any(key == entry or key.startswith(f"{entry}.") for entry in listed)]
+    if f"{name}.checkpoint" in barred:
+        raise RefusedError("A checkpoint is no option for clients.", hint="Name it in the argument `checkpoint`.")
     if barred:
         raise RefusedError(
             f"Only the configuration may set {_list(barred)}.",
-            hint="A person can set it there, or list it in agent_options of [server] for clients with the role "
-            "'admin'. A checkpoint is named by the argument `checkpoint`.",
+            hint="A person can set it there, or list it in agent_options of [server] for admins.",
         )
     if keys and not has_role(role, ADMIN):
         raise RefusedError(
@@ -75,7 +76,7 @@ def check_may_load(config: Config, checkpoint: str) -> None:
     """
     named = [config.inference.checkpoint if config.inference else None]
     named += [options.get("checkpoint") for options in config.plugins.values()]
-    allowed = [path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str)]
+    allowed = [path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str) and path]
     try:
         wanted = _resolve(checkpoint)
         if any(wanted.is_relative_to(_resolve(path)) for path in allowed):
