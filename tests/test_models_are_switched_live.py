@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ import pytest
 from mcp import Client, StdioServerParameters
 
 from rn_demo.agent import Agent
+from roboneuron.config import default_text
 from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
@@ -85,6 +87,9 @@ def process_ids(status: dict[str, Any]) -> dict[str, int]:
 def test_topics_and_processes_stay_while_four_models_take_turns(
     environment: dict[str, str], checkpoints: dict[str, str], graph: Any, tmp_path: Path
 ) -> None:
+    roots = json.dumps([str(Path(path).parent) for path in checkpoints.values()])
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(f"{default_text()}\n[server]\ncheckpoint_roots = {roots}\n", encoding="utf-8")
     turns: list[dict[str, Any]] = [
         {"backend": "openvla", "checkpoint": checkpoints["openvla"], "options": {"profile": "libero"}},
         {
@@ -98,7 +103,9 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
 
     async def play() -> None:
         server = StdioServerParameters(
-            command=sys.executable, args=["-m", "roboneuron.cli.main", "serve"], env=environment
+            command=sys.executable,
+            args=["-m", "roboneuron.cli.main", "serve", "--config", str(config)],
+            env=environment,
         )
         async with Client(server) as client:
             agent = Agent(client)

@@ -41,4 +41,4 @@ def test_without_opencv_only_the_video_camera_is_unavailable(monkeypatch: pytest
     offers = {offer.spec.name: offer for offer in discover().all_offers if offer.spec.kind == "perception"}
     assert offers["ros-camera"].status is Status.READY
     assert offers["video-camera"].status is Status.UNAVAILABLE
-    assert 'pip install "rn-perception-camera[video]"' in offers["video-camera"].reason
+    assert "pip install opencv-python-headless" in offers["video-camera"].reason

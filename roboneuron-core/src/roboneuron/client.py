@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, NotReadyError
 
 if TYPE_CHECKING:
     from mcp import Client
@@ -25,6 +25,7 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
 
     Raises:
         ConfigurationError: the server ended before it answered; its last words are in the message.
+        NotReadyError: it ended later, or answered what the protocol does not know.
     """
     from mcp import Client, StdioServerParameters  # heavy
     from mcp.client.stdio import stdio_client  # heavy
@@ -39,8 +40,13 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
                 answered = True
                 yield client
         except (MCPError, ExceptionGroup) as error:
-            if answered or not all(isinstance(leaf, MCPError | OSError) for leaf in leaves_of(error)):
+            leaves = list(leaves_of(error))
+            if not all(isinstance(leaf, MCPError | OSError) for leaf in leaves):
                 raise
+            if answered:
+                raise NotReadyError(
+                    f"The server broke off: {str(leaves[0]).rstrip('.')}.", hint=_last_words(log)
+                ) from error
             raise ConfigurationError("The server ended before it answered.", hint=_last_words(log)) from error
 
 
@@ -48,7 +54,7 @@ def _last_words(log: Path | None) -> str:
     if log is None:
         return "What it said stands above."
     lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return f"Its last words: {lines[-1] if lines else 'none'}\nAll of them: {log}"
+    return f"Its last words: {lines[-1] if lines else 'none'} (all of them: {log})"
 
 
 def leaves_of(error: Exception) -> Iterator[Exception]:

@@ -101,6 +101,50 @@ def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(tmp_path: Path, m
     assert "configuration" in findings
 
 
+def test_a_check_that_breaks_is_a_finding_and_what_needs_it_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "_try_ros", lambda: 1 / 0)
+    monkeypatch.setattr(checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used"))
+    findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
+    assert findings["ros"].verdict is Verdict.FAILED
+    assert "ZeroDivisionError: division by zero" in findings["ros"].text
+    assert findings["images"].verdict is Verdict.WARNING
+    assert "Not tried: the check 'ros' failed." in findings["images"].text
+    assert "configuration" in findings
+
+
+def foreign_rclpy(folder: Path) -> str:
+    (folder / "rclpy").mkdir()
+    (folder / "rclpy" / "__init__.py").write_text("raise ImportError('built for another Python')\n")
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID is 'abc', expected a whole number from 0 to 232."),
+        ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300'"),
+        ("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID is '-1'"),
+        ("RMW_IMPLEMENTATION", "rmw_nope_cpp", "RMW_IMPLEMENTATION is 'rmw_nope_cpp', which is not installed"),
+        ("PYTHONPATH", "foreign", "rclpy would be imported from"),
+        ("PYTHONIOENCODING", "ascii", ""),
+    ],
+)
+def test_the_command_survives_what_it_is_for(variable: str, value: str, words: str, tmp_path: Path) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n')
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    environment[variable] = foreign_rclpy(tmp_path) if value == "foreign" else value
+    command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, env=environment)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert words in done.stdout
+    assert "no robot 'nobody'" in done.stdout  # the checks after it were made
+    assert done.stdout.isascii() == (variable == "PYTHONIOENCODING")
+
+
 @pytest.mark.ros
 def test_the_command_looks_at_the_real_machine(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"

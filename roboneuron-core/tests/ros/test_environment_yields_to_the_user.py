@@ -62,6 +62,37 @@ def test_a_sourced_ros_installation_is_refused() -> None:
         defaults(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH="/opt/ros/jazzy")
 
 
+@pytest.mark.parametrize("domain", ["abc", "-1", "233", "300", "1.0", "\u0661"])
+def test_a_domain_for_which_rcl_would_end_the_process_is_refused(domain: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"ROS_DOMAIN_ID is .*expected a whole number from 0 to 232"):
+        defaults(ROS_DOMAIN_ID=domain)
+
+
+@pytest.mark.parametrize("domain", ["", "0", "232"])
+def test_a_domain_that_exists_is_taken(domain: str) -> None:
+    assert defaults(ROS_DOMAIN_ID=domain)["ROS_DOMAIN_ID"] == domain
+
+
+def test_a_middleware_that_is_not_installed_is_refused(tmp_path: Path) -> None:
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "rmw_typesupport"
+    index.mkdir(parents=True)
+    for name in ("rmw_implementation", "rmw_one_cpp"):
+        (index / name).touch()
+    for name in ("rmw_two_cpp", "rmw_implementation"):
+        with pytest.raises(ConfigurationError, match=f"'{name}', which is not installed.*choose one of: rmw_one_cpp"):
+            set_defaults({"RMW_IMPLEMENTATION": name}, prefix=str(tmp_path), log_directory=tmp_path)
+    set_defaults({"RMW_IMPLEMENTATION": "rmw_one_cpp"}, prefix=str(tmp_path), log_directory=tmp_path)
+
+
+def test_modules_get_no_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
+    for key in ("CHIEF", "ROBONEURON_TOKEN", "OTHER"):
+        monkeypatch.setenv(key, "x")
+    for python in (None, "/elsewhere/bin/python"):
+        environment = module_environment(python, 0, ["CHIEF", "NOT_SET"])
+        assert "OTHER" in environment
+        assert not {"CHIEF", "ROBONEURON_TOKEN"} & set(environment)
+
+
 def test_shipped_profile_has_a_32_mib_segment() -> None:
     sizes = [e.text for e in ElementTree.parse(fast_dds_profile()).iter() if e.tag.endswith("segment_size")]
     assert sizes == [str(32 * 2**20)]

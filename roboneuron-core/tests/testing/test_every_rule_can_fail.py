@@ -68,6 +68,8 @@ BROKEN: list[tuple[str, Case[Any]]] = [
     ("descriptor/target-callable", _with("backend", target="broken_descriptors:Absent")),
     ("descriptor/options-closed", _with("backend", config="broken_descriptors:OpenOptions")),
     ("descriptor/options-described", _with("backend", config="broken_descriptors:BareOptions")),
+    ("descriptor/restricted-options-marked", _with("backend", config="broken_descriptors:UnmarkedOptions")),
+    ("descriptor/restricted-options-marked", _with("backend", config="broken_descriptors:UnmarkedTable")),
     *_targets(
         "backend",
         "broken_backends",

@@ -20,7 +20,7 @@ def _spec(name: str, summary: str, target: str, config: str, case: str) -> Accel
         case=f"rn_accel_fastv.case:{case}",
         requires=(
             Requirement(module="torch", install="pip install torch"),
-            Requirement(module="rn_runtime_torch", install="pip install rn-runtime-torch"),
+            Requirement(module="rn_runtime_torch", install="pip install ./plugins/rn-runtime-torch"),
         ),
         families=FAMILIES,
         capability="visual-token-pruning",

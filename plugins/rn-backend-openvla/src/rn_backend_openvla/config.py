@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_openvla.preprocessing import ImageStep
 from rn_backend_openvla.profiles import PROFILES, ActionProfile, GripperSign, RotationUnit
+from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -41,9 +42,9 @@ class ModelOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    checkpoint: Path
+    checkpoint: Annotated[Path, ConfigurationOnly()]
     """Directory with config.json, the weights, the processor and the tokenizer."""
-    unnorm_key: str | None = None
+    unnorm_key: Annotated[str | None, AgentMaySet()] = None
     """Data set whose statistics turn model values into actions; may be left out when there is only one."""
     profile: Literal["libero", "bridge", "own"]
     """What the actions mean, in which units and frame; never guessed."""

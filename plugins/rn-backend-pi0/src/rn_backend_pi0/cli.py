@@ -34,7 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _missing(error: ImportError) -> MissingDependencyError:
-    return MissingDependencyError(f"{error.name} is not installed.", hint='Run: pip install "rn-backend-pi0[native]"')
+    return MissingDependencyError(
+        f"{error.name} is not installed.", hint="Run: pip install torch safetensors tokenizers"
+    )
 
 
 def _make_tiny(directory: Path, layout: str, seed: int) -> None:

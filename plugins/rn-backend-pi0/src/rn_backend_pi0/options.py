@@ -14,6 +14,7 @@ from rn_backend_pi0.image import Flip, Resize
 from rn_backend_pi0.profiles import PROFILES, Profile
 from rn_backend_pi0.state import StateLayout, StateTerm
 from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
 
 ProfileName = Literal["libero", "libero-openpi", "bridge", "own"]
 Role = Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]*|-)$")]
@@ -118,8 +119,12 @@ class _Common(_Section):
 class Pi0Options(_Common):
     """Options of the native backend."""
 
-    checkpoint: Path = Field(description="directory of a LeRobot or openpi PyTorch checkpoint")
-    tokenizer: Path | None = Field(default=None, description="tokenizer.json; the checkpoint's own when not given")
+    checkpoint: Annotated[Path, ConfigurationOnly()] = Field(
+        description="directory of a LeRobot or openpi PyTorch checkpoint"
+    )
+    tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="tokenizer.json; the checkpoint's own when not given"
+    )
     asset_id: str | None = Field(default=None, description="which statistics of an openpi checkpoint that has several")
     camera_slots: tuple[Role, ...] | None = Field(
         default=None, description="camera role for each slot of the model, '-' for an empty one"
@@ -168,17 +173,27 @@ class Pi0Options(_Common):
 class Pi0RemoteOptions(_Common):
     """Options of the remote backend."""
 
-    url: str = Field(default="ws://127.0.0.1:8000", pattern=r"^wss?://\S+$", description="of openpi's policy server")
-    api_key_variable: str | None = Field(default=None, description="name of the environment variable with the API key")
-    allow_insecure_key: bool = Field(default=False, description="send the key over an unencrypted remote connection")
+    url: Annotated[str, ConfigurationOnly()] = Field(
+        default="ws://127.0.0.1:8000", pattern=r"^wss?://\S+$", description="of openpi's policy server"
+    )
+    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, description="name of the environment variable with the API key"
+    )
+    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
+        default=False, description="send the key over an unencrypted remote connection"
+    )
     connect_timeout_s: float = Field(default=10.0, gt=0, le=600, description="until the server answers, during load")
     warm_up_timeout_s: float = Field(default=120.0, gt=0, le=600, description="for the first inference (compilation)")
     request_timeout_s: float = Field(default=1.5, gt=0, le=60, description="for one inference, reconnecting included")
-    image_keys: dict[Role, str] = Field(
+    image_keys: Annotated[dict[Role, str], AgentMaySet()] = Field(
         default={"primary": "observation/image", "wrist": "observation/wrist_image"},
         min_length=1,
         description="key of the request by camera role",
     )
-    state_key: str = Field(default="observation/state", min_length=1, description="key of the state")
-    prompt_key: str = Field(default="prompt", min_length=1, description="key of the instruction")
+    state_key: Annotated[str, AgentMaySet()] = Field(
+        default="observation/state", min_length=1, description="key of the state"
+    )
+    prompt_key: Annotated[str, AgentMaySet()] = Field(
+        default="prompt", min_length=1, description="key of the instruction"
+    )
     image_side_px: int = Field(default=224, ge=16, le=1024, description="images are sent as squares of this side")

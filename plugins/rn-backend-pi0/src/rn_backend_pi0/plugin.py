@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from roboneuron.plugins.markers import hookimpl
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
 
-_NATIVE = 'pip install "rn-backend-pi0[native]"'
-_REMOTE = 'pip install "rn-backend-pi0[remote]"'
+_NATIVE = "pip install torch safetensors tokenizers"
+_REMOTE = "pip install msgpack websockets"
 
 
 def _action_space() -> ActionSpace:

@@ -7,6 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from roboneuron.plugins.restricted import ConfigurationOnly
+
 SIDE_PX = Annotated[int, Field(ge=1, le=8192)]
 
 
@@ -41,11 +43,13 @@ class _CameraOptions(BaseModel):
 class RosCameraOptions(_CameraOptions):
     """Where one camera's images are published, and how they are taken."""
 
-    topic: str = Field(min_length=1, description="topic of the images; absolute, or in the robot's namespace")
+    topic: Annotated[str, ConfigurationOnly()] = Field(
+        min_length=1, description="topic of the images; absolute, or in the robot's namespace"
+    )
     transport: Literal["raw", "compressed"] = Field(
         default="raw", description="raw: sensor_msgs/Image; compressed: sensor_msgs/CompressedImage, JPEG or PNG"
     )
-    camera_info: str | None = Field(
+    camera_info: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, min_length=1, description="topic of its calibration; that of the robot's profile when not given"
     )
     distortion: Literal["refuse", "undistort", "rectified"] = Field(
@@ -80,10 +84,12 @@ class RosCamerasOptions(BaseModel):
 class VideoCameraOptions(_CameraOptions):
     """One device or one file."""
 
-    device: int | str | None = Field(
+    device: Annotated[int | str | None, ConfigurationOnly()] = Field(
         default=None, description="number of a V4L2 device, or its path such as /dev/v4l/by-id/..."
     )
-    path: str | None = Field(default=None, min_length=1, description="a video file, instead of a device")
+    path: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, min_length=1, description="a video file, instead of a device"
+    )
     size: tuple[SIDE_PX, SIDE_PX] | None = Field(
         default=None, description="width and height to capture [px]; the device's own when not given; devices only"
     )

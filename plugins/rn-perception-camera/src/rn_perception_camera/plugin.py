@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from roboneuron.plugins.markers import hookimpl
 from roboneuron.plugins.specs import PerceptionSpec, Requirement
 
-_VIDEO = 'pip install "rn-perception-camera[video]"'
+_VIDEO = "pip install opencv-python-headless"
 
 
 @hookimpl

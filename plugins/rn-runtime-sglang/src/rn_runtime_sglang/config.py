@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from roboneuron.plugins.restricted import ConfigurationOnly
+
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -15,13 +17,13 @@ class SglangRuntimeConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    python: Path | None = None
+    python: Annotated[Path | None, ConfigurationOnly()] = None
     """Managed: interpreter of the virtual environment that SGLang and this package are installed in."""
-    urls: tuple[Annotated[str, Field(pattern=r"^https?://[^/\s?#]+/?$")], ...] = ()
+    urls: Annotated[tuple[Annotated[str, Field(pattern=r"^https?://[^/\s?#]+/?$")], ...], ConfigurationOnly()] = ()
     """Remote: one or several servers of the same model, for instance "https://gpu1:30000"."""
-    key_variable: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")] | None = None
+    key_variable: Annotated[str | None, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$"), ConfigurationOnly()] = None
     """Remote: environment variable that holds the API key; none is sent when left out."""
-    ca_file: Path | None = None
+    ca_file: Annotated[Path | None, ConfigurationOnly()] = None
     """Remote: certificate authority of https servers, where it is not one of the system's."""
     timeout_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 1.5
     """An answer that takes longer is dropped and its request aborted; the backend's own limit counts when shorter."""
@@ -35,17 +37,17 @@ class SglangRuntimeConfig(BaseModel):
     """How images travel, both without loss: `bmp` costs least time, `png` is half as large, for slow networks."""
     start_timeout_s: Seconds = 600.0
     """Managed: how long the server may take until it is ready; remote: how long to wait for the first one."""
-    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    port: Annotated[int | None, Field(ge=1, le=65535), ConfigurationOnly()] = None
     """Managed: port on this machine; None takes a free one."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Managed: where the model runs; `cpu` needs the steps of docs/sglang.md."""
     dtype: Literal["auto", "float32", "bfloat16", "float16"] = "auto"
     """Managed: `auto` is the checkpoint's own on a GPU and float32 on the CPU."""
-    server_arguments: tuple[str, ...] = ()
+    server_arguments: Annotated[tuple[str, ...], ConfigurationOnly()] = ()
     """Managed: further arguments of the server, for instance ["--tp", "2"]."""
-    environment: dict[str, str] = {}
+    environment: Annotated[dict[str, str], ConfigurationOnly()] = {}
     """Managed: further environment variables of the server."""
-    log: Path | None = None
+    log: Annotated[Path | None, ConfigurationOnly()] = None
     """Managed: file for the server's output; None takes a temporary one, which is kept when the server fails."""
 
     @model_validator(mode="after")

@@ -220,5 +220,6 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
     if absent:
         raise MissingDependencyError(
             f"{', '.join(absent)} must be installed for {python} too.",
-            hint=f"Run: {pip} --no-deps rn-runtime-sglang rn-backend-openvla roboneuron-core",
+            hint=f"Run in RoboNeuron's source folder: {pip} --no-deps ./plugins/rn-runtime-sglang "
+            "./plugins/rn-backend-openvla ./roboneuron-core",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import AsyncIterator
@@ -11,12 +12,10 @@ from typing import TYPE_CHECKING
 
 from roboneuron.client import leaves_of, spawned_server
 from roboneuron.errors import ConfigurationError
+from roboneuron.ros.environment import CLIENT_TOKEN
 
 if TYPE_CHECKING:
     from mcp import Client
-
-TOKEN_VARIABLE = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token for `--url`, when no other is named."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -27,7 +26,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--token-variable",
         metavar="NAME",
-        help=f"environment variable with the bearer token for --url; {TOKEN_VARIABLE} when that is set",
+        help=f"environment variable with the bearer token for --url; {CLIENT_TOKEN} when that is set",
     )
 
 
@@ -50,6 +49,7 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     from mcp.client.streamable_http import streamable_http_client  # heavy
     from mcp.shared.exceptions import MCPError
 
+    logging.getLogger("mcp").addHandler(logging.NullHandler())  # what it warns of becomes our error
     token = _token(arguments.token_variable)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     timeout = httpx2.Timeout(30.0, read=300.0)
@@ -58,11 +58,13 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
             await _knock(http, arguments.url)
             async with Client(streamable_http_client(arguments.url, http_client=http)) as client:
                 yield client
-    except (httpx2.HTTPError, httpx2.InvalidURL, MCPError, ExceptionGroup) as error:
+    except (httpx2.HTTPError, httpx2.InvalidURL, MCPError, OverflowError, ExceptionGroup) as error:
         cause = next(leaves_of(error))
-        if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError):
+        if not isinstance(cause, httpx2.HTTPError | httpx2.InvalidURL | MCPError | OverflowError):
             raise
-        raise ConfigurationError(f"The server at {arguments.url} does not answer as one: {cause}.") from cause
+        raise ConfigurationError(
+            f"The server at {arguments.url} does not answer as one: {str(cause).rstrip('.')}."
+        ) from cause
 
 
 async def _knock(http: object, url: str) -> None:
@@ -77,12 +79,12 @@ async def _knock(http: object, url: str) -> None:
     if answer.status_code == 401:
         raise ConfigurationError(
             f"The server at {url} refuses the token.",
-            hint=f"Name the variable that holds it with --token-variable, or set {TOKEN_VARIABLE}.",
+            hint=f"Name the variable that holds it with --token-variable, or set {CLIENT_TOKEN}.",
         )
 
 
 def _token(variable: str | None) -> str | None:
-    token = os.environ.get(variable or TOKEN_VARIABLE)
+    token = os.environ.get(variable or CLIENT_TOKEN)
     if variable is not None and not token:
         raise ConfigurationError(f"The environment variable {variable} is not set.")
     return token or None

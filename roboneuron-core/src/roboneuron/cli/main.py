@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from difflib import get_close_matches
 
 from roboneuron import __version__
-from roboneuron.cli.commands import COMMANDS, CommandModule, installed_commands, load_command
-from roboneuron.errors import RoboNeuronError
+from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
+from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 
@@ -17,8 +17,6 @@ EXIT_OK = 0
 """It is as asked."""
 EXIT_FAILED = 1
 """The command ran and its answer is no (a check failed, a plugin is not ready)."""
-EXIT_USAGE = 2
-"""The command could not run: wrong arguments, a wrong configuration, something not installed."""
 
 
 def build_parser(registry: Registry) -> ArgumentParser:
@@ -41,6 +39,7 @@ def build_parser(registry: Registry) -> ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status."""
+    accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0].startswith("-"):
         parser = build_parser(discover())
@@ -57,25 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
     try:
         module = load_command(name, registry)
-    except RoboNeuronError as error:
-        print(f"roboneuron: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
-    module.configure(command_parser)
-    return _run(module, command_parser.parse_args(rest))
-
-
-def _run(module: CommandModule, arguments: Namespace) -> int:
-    try:
-        return module.run(arguments)
-    except RoboNeuronError as error:
-        print(f"roboneuron: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
+        module.configure(command_parser)
+        return module.run(command_parser.parse_args(rest))
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return EXIT_OK
-    except KeyboardInterrupt:
-        return 130
+    except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:  # the border to whoever typed the command
+        return show_error(error)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING, get_args, get_origin
 
+from roboneuron.plugins.restricted import is_restricted
+
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
@@ -21,12 +23,14 @@ class Option:
         type: with its bounds or choices.
         default: as in TOML; None when it must be given.
         meaning: its description.
+        restricted: only the configuration may set it.
     """
 
     key: str
     type: str
     default: str | None
     meaning: str
+    restricted: bool = False
 
 
 def describe_options(model: type[BaseModel]) -> Iterator[Option]:
@@ -37,7 +41,9 @@ def describe_options(model: type[BaseModel]) -> Iterator[Option]:
     for key, entry in model.model_json_schema().get("properties", {}).items():
         field = next(f for name, f in model.model_fields.items() if key in (name, f.alias))
         default = None if field.is_required() else _literal(field.get_default(call_default_factory=True))
-        yield Option(key=key, type=_type(entry), default=default, meaning=entry.get("description", ""))
+        restricted = is_restricted(key, field)
+        meaning = entry.get("description", "")
+        yield Option(key=key, type=_type(entry), default=default, meaning=meaning, restricted=restricted)
         for place, table in _tables(key, field.annotation):
             for option in describe_options(table):
                 yield replace(option, key=f"{place}.{option.key}")

@@ -81,7 +81,8 @@ def _options(offer: Offer) -> Iterator[str]:
         yield f"options{owner}, in [plugins.{offer.spec.name}]:"
         for option in describe_options(model):
             default = "required" if option.default is None else f"default {option.default}"
-            yield f"  {option.key}  ({option.type}; {default})  {option.meaning}".rstrip()
+            only = "; configuration only" if option.restricted else ""
+            yield f"  {option.key}  ({option.type}; {default}{only})  {option.meaning}".rstrip()
 
 
 def facts(value: object, skip: Sequence[str] = ("name",)) -> Iterator[tuple[str, str]]:

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Sequence
 
 from roboneuron import __version__
+from roboneuron.plugins.packages import START, install_command
 from roboneuron.plugins.record import Offer, PluginRecord, Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import CONTRACT_VERSION
@@ -94,7 +95,7 @@ def print_table(registry: Registry, *, width: int | None = None, has_colour: boo
         has_colour: use colours; only on a terminal, and not with NO_COLOR, when None.
     """
     if not registry.plugins:
-        print("No plugins are installed. Try: pip install rn-robot-fr3 rn-backend-servo rn-controller-urdf")
+        print(f"No plugins are installed. For a start: {install_command(*START)}")
         return
     if has_colour is None:
         has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ

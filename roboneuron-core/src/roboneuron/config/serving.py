@@ -43,6 +43,16 @@ class ServerConfig(Section):
     tokens: tuple[TokenConfig, ...] = Field(
         default=(), strict=False, description="who may connect over http: tables of `name`, `role`, `variable`, `file`"
     )
+    checkpoint_roots: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="folders whose checkpoints agents may name, besides those that this configuration names",
+    )
+    agent_options: tuple[Annotated[str, Field(pattern=r"^[a-z0-9-]+(\.[^.]+)+$")], ...] = Field(
+        default=(),
+        strict=False,
+        description='options for the configuration only that an admin may set all the same, such as "pi0-remote.url"',
+    )
 
 
 class ExposeConfig(Section):

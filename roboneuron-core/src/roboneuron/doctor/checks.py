@@ -6,6 +6,7 @@ import importlib.util
 import os
 import platform
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -13,12 +14,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from roboneuron.config import Config
-from roboneuron.doctor.finding import Check, Finding, failed, ok, warning
+from roboneuron.doctor.finding import Check, Finding, Verdict, failed, ok, warning
 from roboneuron.doctor.images import measure_image_transport
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.packages import START, install_command
 from roboneuron.plugins.record import Status
 from roboneuron.ros.environment import prepare_environment, state_directory
 
@@ -28,15 +30,30 @@ MIN_DISK_MIB = 100
 LATE_MS = 20.0
 """A 640x480 image takes about 2 ms between processes on an idle laptop."""
 _MIB = 1 << 20
+_ROS_S = 30.0
 
 
 def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
-    """Yield each check with what it found; a deliberate error is a finding too."""
+    """Yield each check with what it found; an error is a finding too."""
+    lost = set()
     for check in CHECKS:
-        try:
-            yield check, check.answer(config)
-        except RoboNeuronError as error:
-            yield check, failed(error.message, error.hint)
+        if check.needs in lost:
+            yield check, warning(f"{check.question} Not tried: the check {check.needs!r} failed.", "Mend that first.")
+            continue
+        finding = _answer(check, config)
+        if finding.verdict is Verdict.FAILED:
+            lost.add(check.id)
+        yield check, finding
+
+
+def _answer(check: Check, config: Config) -> Finding:
+    try:
+        return check.answer(config)
+    except RoboNeuronError as error:
+        return failed(error.message, error.hint)
+    except Exception as error:  # what is looked at may be broken in any way
+        words = str(error).strip().splitlines() or ["no message"]
+        return failed(f"{check.question} {type(error).__name__}: {words[0]}", "Look at what this names.")
 
 
 def _interpreter(_: Config) -> Finding:
@@ -90,11 +107,31 @@ def _shared_memory(_: Config) -> Finding:
 
 def _ros(_: Config) -> Finding:
     if importlib.util.find_spec("rclpy") is None:
-        return failed("rclpy is not installed.", "pip install roboneuron-core brings it: is this its environment?")
+        return failed(
+            "rclpy is not installed.", "It comes with roboneuron-core: is this the environment that it is installed in?"
+        )
     prepare_environment()
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    problem = _try_ros()
+    if problem:
+        return failed(
+            f"rclpy cannot be used: {problem}",
+            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and RMW_IMPLEMENTATION; then "
+            "install roboneuron-core again.",
+        )
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say")
     return ok(f"rclpy from {Path(sys.prefix)}, domain {domain}, discovery range {reach}.")
+
+
+def _try_ros() -> str:
+    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the one it runs in."""
+    command = [sys.executable, "-P", "-c", "import rclpy; rclpy.init(); rclpy.shutdown()"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"it did not start within {_ROS_S:g} s."
+    lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+    return "" if done.returncode == 0 else lines[-1] if lines else f"exit status {done.returncode}."
 
 
 def _images(_: Config) -> Finding:
@@ -128,7 +165,7 @@ def _plugins(config: Config) -> Finding:
     bad = [r.distribution for r in records if r.status not in (Status.READY, Status.DISABLED)]
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
-        return failed(text, "pip install rn-robot-fr3 rn-controller-urdf rn-backend-servo is a start.")
+        return failed(text, f"For a start: {install_command(*START)}")
     if bad:
         return warning(f"{text} Not ready: {', '.join(bad)}.", "roboneuron plugins list says why and what to install.")
     return ok(text)
@@ -166,7 +203,7 @@ CHECKS = (
     Check(id="emergency-stop", question="May the robot move?", answer=_emergency_stop),
     Check(id="shared-memory", question="Is there room for images?", answer=_shared_memory),
     Check(id="ros", question="Is ROS 2 there?", answer=_ros),
-    Check(id="images", question="Do images get from process to process?", answer=_images),
+    Check(id="images", question="Do images get from process to process?", answer=_images, needs="ros"),
     Check(id="plugins", question="Are the plugins ready?", answer=_plugins),
     Check(id="configuration", question="Does the configuration fit together?", answer=_configuration),
     Check(id="gpu", question="What do models run on?", answer=_gpu),

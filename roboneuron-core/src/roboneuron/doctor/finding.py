@@ -39,12 +39,14 @@ class Check:
     Attributes:
         id: stable word, for programs.
         question: for people.
-        answer: looks; may raise a RoboNeuronError, which counts as failed.
+        answer: looks; whatever it raises counts as failed.
+        needs: id of an earlier check without which this one would only fail again.
     """
 
     id: str
     question: str
     answer: Callable[[Config], Finding]
+    needs: str = ""
 
 
 def ok(text: str) -> Finding:

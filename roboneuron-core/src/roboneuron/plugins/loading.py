@@ -73,7 +73,7 @@ def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
 
 
 def load_options(
-    spec: Spec | DriverSpec, options: Mapping[str, object], *, section: str | None = None
+    spec: Spec | DriverSpec, options: Mapping[str, object], *, section: str | None = None, is_partial: bool = False
 ) -> BaseModel | None:
     """Validate a user's options; returns None when the descriptor takes none.
 
@@ -83,6 +83,8 @@ def load_options(
         spec: descriptor of the plugin or driver.
         options: as in `[plugins.<name>]` of the configuration or as a tool's arguments.
         section: what to call them in errors; `plugins.<name>` when None.
+        is_partial: others may be given later, so what is missing, and what concerns the whole, is no error yet; the
+            result is None then.
 
     Raises:
         ConfigurationError: an unknown key (names the nearest valid one), a missing one, or a value of the wrong type or
@@ -103,7 +105,10 @@ def load_options(
     try:
         return model.model_validate_json(json.dumps(dict(options), default=_plain), strict=True)
     except ValidationError as error:
-        raise ConfigurationError(_explain(error, place)) from error
+        explained = _explain(error, place, is_partial)
+        if not explained:
+            return None
+        raise ConfigurationError(explained) from error
 
 
 def _explain_unknown(path: str, key: str, valid: list[str]) -> str:
@@ -112,10 +117,12 @@ def _explain_unknown(path: str, key: str, valid: list[str]) -> str:
     return f"{path} is unknown; {nearest}"
 
 
-def _explain(error: ValidationError, place: str) -> str:
+def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
     parts: list[str] = []
     for problem in error.errors(include_url=False, include_context=False):
         path = ".".join([place, *(str(step) for step in problem["loc"])])
+        if is_partial and (not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)):
+            continue
         if problem["type"] == "missing":
             parts.append(f"{path} is required and not given.")
         else:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Literal, overload
 
 from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.packages import install_command, package_of
 from roboneuron.plugins.record import Offer, PluginRecord, Status
 from roboneuron.plugins.specs import (
     KINDS,
@@ -99,6 +100,12 @@ class Registry:
             raise ConfigurationError(
                 f"The {kind} {name!r} cannot be used ({', '.join(o.distribution for o in claims)} {reasons}).",
                 hint=_choices(kind, ready),
+            )
+        package = package_of(kind, name)
+        if package is not None:
+            raise ConfigurationError(
+                f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} brings it.",
+                hint=f"Run: {install_command(package)}. {_choices(kind, ready)}{self._explain_absent_plugins()}",
             )
         close = get_close_matches(name, ready, n=1)
         nearest = f" Did you mean {close[0]!r}?" if close else ""

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import MutableMapping
+from collections.abc import Collection, MutableMapping, Sequence
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
 
 from roboneuron.errors import ConfigurationError
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+CLIENT_TOKEN = "ROBONEURON_TOKEN"
+"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is named."""
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
 """How far the ports for a process's data lie above the first port of its domain; the shipped profile reads it."""
 _STANDARD_OFFSET = 11
+MAX_DOMAIN = 232
 _SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
 """Offsets of 16 ports each, above those of the first 60 participants of a domain: out of everybody's way."""
 
@@ -63,7 +67,8 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
         log_directory: where rcl writes its logs.
 
     Raises:
-        ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment.
+        ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment, or a variable
+            has a value for which rcl would end this process.
     """
     foreign = [p for p in environment.get("AMENT_PREFIX_PATH", "").split(":") if p and Path(p) != Path(prefix)]
     distribution = environment.get("ROS_DISTRO")
@@ -72,6 +77,8 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
             f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels of {prefix}.",
             hint="Start from a shell without `source /opt/ros/.../setup.bash`.",
         )
+    _check_domain(environment.get("ROS_DOMAIN_ID", ""))
+    _check_middleware(environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)])
     environment.setdefault("AMENT_PREFIX_PATH", prefix)
     if not any(k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")):
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -81,8 +88,50 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
     environment.setdefault("ROS_LOG_DIR", str(log_directory))
 
 
+def _check_domain(domain: str) -> None:
+    """Source: RTPS 2.2, 9.6.1.1: ports of higher domains lie above 65535."""
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= MAX_DOMAIN):
+        raise ConfigurationError(
+            f"ROS_DOMAIN_ID is {domain!r}, expected a whole number from 0 to {MAX_DOMAIN}.",
+            hint="Set it to one, or unset it for 0.",
+        )
+
+
+def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
+    """Whether RMW_IMPLEMENTATION is one that is installed, by the ament index."""
+    indexes = [prefix / "share/ament_index/resource_index/rmw_typesupport" for prefix in prefixes]
+    known = {entry.name for index in indexes if index.is_dir() for entry in index.iterdir()} - {"rmw_implementation"}
+    if name and known and name not in known:
+        raise ConfigurationError(
+            f"RMW_IMPLEMENTATION is {name!r}, which is not installed in this environment.",
+            hint=f"Unset it, or choose one of: {', '.join(sorted(known))}.",
+        )
+
+
+def _check_not_hidden(prefix: str) -> None:
+    """Refuse another rclpy before the one of this environment on the import path, as PYTHONPATH puts it there."""
+    try:
+        spec = find_spec("rclpy")
+    except ValueError:  # a stand-in without a spec
+        return
+    found = Path(spec.origin).parent if spec is not None and spec.origin else None
+    if found is None or found.is_relative_to(prefix):
+        return
+    own = [Path(entry) / "rclpy" for entry in sys.path if entry and Path(entry).is_relative_to(prefix)]
+    if any(folder.is_dir() for folder in own):
+        raise ConfigurationError(
+            f"rclpy would be imported from {found}, which hides the one of {prefix}.",
+            hint=f"PYTHONPATH is {os.environ.get('PYTHONPATH', '')!r}: unset it, or take that folder out.",
+        )
+
+
 def prepare_environment(log_directory: Path | None = None) -> None:
-    """Set this process's defaults; call it before rclpy is imported. Raises as `set_defaults`."""
+    """Set this process's defaults; call it before rclpy is imported.
+
+    Raises:
+        ConfigurationError: as `set_defaults`; or another rclpy hides the one of this environment.
+    """
+    _check_not_hidden(sys.prefix)
     set_defaults(os.environ, prefix=sys.prefix, log_directory=log_directory or state_directory() / "log" / "ros")
 
 
@@ -98,12 +147,14 @@ def port_offset(domain: int, start: int) -> int:
     return slots[start % len(slots)] if slots else _STANDARD_OFFSET
 
 
-def module_environment(python: str | None, start: int) -> dict[str, str]:
+def module_environment(python: str | None, start: int, secrets: Collection[str] = ()) -> dict[str, str]:
     """Environment for the `start`-th module process, run by `python` (None: this interpreter).
+
+    It holds none of the variables called `secrets`, nor the token of our own client.
 
     Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its bootstrapper runs.
     """
-    environment = dict(os.environ)
+    environment = {name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)}
     domain = environment.get("ROS_DOMAIN_ID", "")
     environment[PORT_OFFSET] = str(port_offset(int(domain) if domain.isdecimal() else 0, start))
     if python is not None and Path(python).absolute() != Path(sys.executable).absolute():

@@ -64,9 +64,11 @@ class ClosedLoop:
         spec = self.plugins.current().specs("robot").get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
-    def start_robot(self, robot: str | None, driver: str | None, options: Options, on_stage: Stage) -> ModuleView:
-        """Start a robot. Raises as `select_robot` and `Supervisor.start`."""
-        selection = select_robot(self.base, self.plugins.current(), robot, driver, options)
+    def start_robot(
+        self, robot: str | None, driver: str | None, options: Options, on_stage: Stage, role: str = ""
+    ) -> ModuleView:
+        """Start a robot for a client with `role`. Raises as `select_robot` and `Supervisor.start`."""
+        selection = select_robot(self.base, self.plugins.current(), robot, driver, options, role)
         namespace = selection.config.namespace
         for view in self.supervisor.views():
             if view.choice is not None and view.choice.settings.config.namespace != namespace:
@@ -78,26 +80,26 @@ class ClosedLoop:
         return self._start("robot", selection, on_stage)
 
     def start_perception(
-        self, source: str | None, cameras: tuple[str, ...], options: Options, on_stage: Stage
+        self, source: str | None, cameras: tuple[str, ...], options: Options, on_stage: Stage, role: str = ""
     ) -> ModuleView:
         """Start the cameras. Raises as `select_perception` and `Supervisor.start`."""
-        return self._start(
-            "perception", select_perception(self.config, self.plugins.current(), source, cameras, options), on_stage
-        )
+        selection = select_perception(self.config, self.plugins.current(), source, cameras, options, role)
+        return self._start("perception", selection, on_stage)
 
-    def start_control(self, controller: str | None, options: Options, on_stage: Stage) -> ModuleView:
+    def start_control(self, controller: str | None, options: Options, on_stage: Stage, role: str = "") -> ModuleView:
         """Start the controller. Raises as `select_control` and `Supervisor.start`."""
-        return self._start(
-            "control", select_control(self.config, self.plugins.current(), controller, options), on_stage
-        )
+        selection = select_control(self.config, self.plugins.current(), controller, options, role)
+        return self._start("control", selection, on_stage)
 
-    def start_inference(self, request: InferenceRequest, on_stage: Stage) -> ModuleView:
+    def start_inference(self, request: InferenceRequest, on_stage: Stage, role: str = "") -> ModuleView:
         """Start a backend. Raises as `select_inference` and `Supervisor.start`."""
-        selection = self._select_inference(request)
+        selection = self._select_inference(request, role)
         self._check_may_move(selection)
         return self._start("inference", selection, on_stage)
 
-    def switch_inference(self, request: InferenceRequest, mode: SwitchMode, on_stage: Stage) -> Switched:
+    def switch_inference(
+        self, request: InferenceRequest, mode: SwitchMode, on_stage: Stage, role: str = ""
+    ) -> Switched:
         """Replace the running backend.
 
         The instruction is kept unless a new one is given. What can be refused beforehand is refused while the old one
@@ -106,7 +108,7 @@ class ClosedLoop:
         old = self.supervisor.require_running("inference")
         if request.instruction is None and old.report is not None and old.report.instruction:
             request = replace(request, instruction=old.report.instruction)
-        selection = self._select_inference(request)
+        selection = self._select_inference(request, role)
         self._check_may_move(selection)
         return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
 
@@ -127,7 +129,13 @@ class ClosedLoop:
         return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
 
     def switch_perception(
-        self, source: str | None, cameras: tuple[str, ...], options: Options, mode: SwitchMode, on_stage: Stage
+        self,
+        source: str | None,
+        cameras: tuple[str, ...],
+        options: Options,
+        mode: SwitchMode,
+        on_stage: Stage,
+        role: str = "",
     ) -> Switched:
         """Replace the running source of images, on the same topics; it serves the same cameras unless others are named.
 
@@ -137,7 +145,7 @@ class ClosedLoop:
         assert old.choice is not None
         running = old.choice.settings.config.perception
         served = running.cameras if running is not None else ()
-        selection = select_perception(self.config, self.plugins.current(), source, cameras or served, options)
+        selection = select_perception(self.config, self.plugins.current(), source, cameras or served, options, role)
         self._check_serves_backend(selection)
         return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
 
@@ -148,10 +156,12 @@ class ClosedLoop:
         self._check_serves_backend(selection)
         return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
 
-    def switch_control(self, controller: str | None, options: Options, mode: SwitchMode, on_stage: Stage) -> Switched:
+    def switch_control(
+        self, controller: str | None, options: Options, mode: SwitchMode, on_stage: Stage, role: str = ""
+    ) -> Switched:
         """Replace the running controller, on the same topics. Raises as `switch_inference`."""
         old = self.supervisor.require_running("control")
-        selection = select_control(self.config, self.plugins.current(), controller, options)
+        selection = select_control(self.config, self.plugins.current(), controller, options, role)
         check_same_commands(old, selection)
         return self._replacing.replace(old, selection, ControlTrial(self.supervisor, selection), mode, on_stage)
 
@@ -221,8 +231,8 @@ class ClosedLoop:
                 hint="Call reset_emergency_stop when a person says so.",
             )
 
-    def _select_inference(self, request: InferenceRequest) -> Selection:
-        selection = select_inference(self.config, self.plugins.current(), request)
+    def _select_inference(self, request: InferenceRequest, role: str) -> Selection:
+        selection = select_inference(self.config, self.plugins.current(), request, role)
         perception = self.supervisor.view("perception")
         if perception.phase == "running" and perception.choice is not None:
             check_cameras(self.plugins.current(), selection.config, perception.choice.settings.config)

@@ -11,11 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, MissingDependencyError
+from roboneuron.errors import (
+    CheckpointError,
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    RoboNeuronError,
+)
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
+from roboneuron.server.option_rights import check_may_load, check_may_set
+from roboneuron.server.sections import check_sections
 
 Options = Mapping[str, Any]
 
@@ -49,32 +57,42 @@ class InferenceRequest:
 
 
 def select_robot(
-    config: Config, registry: Registry, robot: str | None, driver: str | None, options: Options
+    config: Config, registry: Registry, robot: str | None, driver: str | None, options: Options, role: str = ""
 ) -> Selection:
     """Check a robot and its driver.
 
+    Args:
+        role: of the client that gave `options`; here and below, "" may set nothing that is restricted.
+
     Raises:
         ConfigurationError: unknown or unusable names or options.
+        RefusedError: options that only the configuration may set.
     """
     section = config.robot
     if robot is not None and robot != section.name:
         section = RobotConfig(name=robot)
     if driver is not None:
         section = section.model_copy(update={"driver": driver})
-    config = _merge(config, section.name, options).model_copy(update={"robot": section})
     plan = check_plan(registry, robot=section.name, driver=section.driver)
+    config = _merge(config, section.name, plan.driver, options, role).model_copy(update={"robot": section})
     _check_options(plan.driver, config.options(section.name), section.python, f"plugins.{section.name}")
     return Selection(config=config, names={"robot": section.name, "driver": section.driver}, python=section.python)
 
 
 def select_perception(
-    config: Config, registry: Registry, source: str | None, cameras: tuple[str, ...], options: Options
+    config: Config,
+    registry: Registry,
+    source: str | None,
+    cameras: tuple[str, ...],
+    options: Options,
+    role: str = "",
 ) -> Selection:
     """Check a source and its cameras.
 
     Raises:
         InvalidInputError: no source is configured, or the robot has no such camera.
         ConfigurationError: unknown or unusable names or options.
+        RefusedError: options that only the configuration may set.
         PlanningError: the source does not serve this robot.
     """
     section = config.perception
@@ -92,19 +110,23 @@ def select_perception(
                 f"Robot {plan.robot.name!r} has no camera {camera!r}.",
                 hint=f"Its cameras: {', '.join(known) or 'none'}.",
             )
-    config = _merge(config, section.source, options).model_copy(update={"perception": section})
     assert plan.perception is not None
+    config = _merge(config, section.source, plan.perception, options, role)
+    config = config.model_copy(update={"perception": section})
     _check_options(plan.perception, config.options(section.source), section.python)
     names = {"source": section.source, "cameras": ", ".join(section.cameras or known)}
     return Selection(config=config, names=names, python=section.python)
 
 
-def select_control(config: Config, registry: Registry, controller: str | None, options: Options) -> Selection:
+def select_control(
+    config: Config, registry: Registry, controller: str | None, options: Options, role: str = ""
+) -> Selection:
     """Check a controller.
 
     Raises:
         InvalidInputError: none is configured and none was named.
         ConfigurationError: unknown or unusable names or options.
+        RefusedError: options that only the configuration may set.
         PlanningError: it cannot move this kind of robot.
     """
     section = config.control
@@ -113,13 +135,14 @@ def select_control(config: Config, registry: Registry, controller: str | None, o
             raise _unnamed("controller", "controller", registry)
         section = ControlConfig(controller=controller)
     plan = _plan(config, registry, controller=section.controller)
-    config = _merge(config, section.controller, options).model_copy(update={"control": section})
     assert plan.controller is not None
+    config = _merge(config, section.controller, plan.controller, options, role)
+    config = config.model_copy(update={"control": section})
     _check_options(plan.controller, config.options(section.controller), section.python)
     return Selection(config=config, names={"controller": section.controller}, python=section.python)
 
 
-def select_inference(config: Config, registry: Registry, request: InferenceRequest) -> Selection:
+def select_inference(config: Config, registry: Registry, request: InferenceRequest, role: str = "") -> Selection:
     """Check a backend with all that belongs to it.
 
     Raises:
@@ -127,6 +150,7 @@ def select_inference(config: Config, registry: Registry, request: InferenceReque
         CheckpointError: the checkpoint's path does not exist, or the backend takes none.
         ConfigurationError: unknown or unusable names or options.
         PlanningError: the parts do not fit together or the robot.
+        RefusedError: options that only the configuration may set, or a checkpoint outside of what it allows.
     """
     section = config.inference
     if section is None or (request.backend is not None and request.backend != section.backend):
@@ -150,8 +174,8 @@ def select_inference(config: Config, registry: Registry, request: InferenceReque
         cameras=section.cameras,
     )
     assert plan.backend is not None
-    config = _merge(config, section.backend, request.options or {})
-    section = _check_checkpoint(section, plan, config)
+    config = _merge(config, section.backend, plan.backend, request.options or {}, role)
+    section = _check_checkpoint(section, plan, config, request.checkpoint)
     config = config.model_copy(update={"inference": section})
     options = dict(config.options(section.backend))
     if section.checkpoint is not None:
@@ -184,7 +208,7 @@ def check_instruction(text: str) -> str:
     return text.strip()
 
 
-def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
+def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config, requested: str | None) -> InferenceConfig:
     """The section with an absolute path: the module may run in another working directory."""
     assert plan.backend is not None
     named = section.checkpoint or config.options(section.backend).get("checkpoint")
@@ -199,6 +223,8 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> I
     model = load_options_model(plan.backend) if not plan.backend.needs_checkpoint else None
     if not plan.backend.needs_checkpoint and (model is None or "checkpoint" not in model.model_fields):
         raise CheckpointError(f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named.")
+    if requested is not None:
+        check_may_load(config, requested)
     path = Path(str(named)).expanduser()
     if not path.exists():
         raise CheckpointError(
@@ -211,11 +237,14 @@ def _plan(config: Config, registry: Registry, **parts: Any) -> Plan:
     return check_plan(registry, robot=config.robot.name, driver=config.robot.driver, **parts)
 
 
-def _merge(config: Config, name: str, options: Options) -> Config:
-    """The configuration with `options` laid over `[plugins.<name>]`."""
+def _merge(config: Config, name: str, spec: Spec | DriverSpec, options: Options, role: str) -> Config:
+    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client may set them."""
     if not options:
         return config
-    return config.model_copy(update={"plugins": {**config.plugins, name: {**config.options(name), **options}}})
+    before = config.options(name)
+    merged = {**before, **options}
+    check_may_set(spec, name, before, merged, config.server.agent_options, role)
+    return config.model_copy(update={"plugins": {**config.plugins, name: merged}})
 
 
 def _check_options(spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None) -> None:
@@ -237,16 +266,38 @@ def _unnamed(argument: str, kind: str, registry: Registry) -> InvalidInputError:
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
-    """Refuse a configuration that names what is not installed, before the server starts.
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as the `select_...` functions.
+        ConfigurationError, PlanningError: as the `select_...` functions and `check_sections`; all that is wrong.
     """
+    problems: dict[str, RoboNeuronError] = {}
+    for check in (_check_robot, _check_perception, _check_control, _check_inference, check_sections):
+        try:
+            check(config, registry)
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_robot(config: Config, registry: Registry) -> None:
     select_robot(config, registry, None, None, {})
+
+
+def _check_perception(config: Config, registry: Registry) -> None:
     if config.perception is not None:
         select_perception(config, registry, None, (), {})
+
+
+def _check_control(config: Config, registry: Registry) -> None:
     if config.control is not None:
         select_control(config, registry, None, {})
+
+
+def _check_inference(config: Config, registry: Registry) -> None:
     if config.inference is not None:
         try:
             select_inference(config, registry, InferenceRequest())

@@ -22,7 +22,8 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the chosen plugin, laid over [plugins.<name>] of the configuration.",
+        description="Options of the chosen plugin, laid over [plugins.<name>] of the configuration. Those that name "
+        "hosts, files, devices, commands or environment variables are for the configuration only.",
     ),
 ]
 
@@ -61,7 +62,10 @@ class StartInference(Arguments):
 
     backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
     checkpoint: str | None = Field(
-        default=None, min_length=1, description="Directory of the model's files, for backends that need one."
+        default=None,
+        min_length=1,
+        description="Directory of the model's files, for backends that need one; one that the configuration names or "
+        "that lies in its checkpoint_roots.",
     )
     runtime: str | None = Field(
         default=None, description="Engine that executes the model; the backend's own default when omitted."
@@ -99,10 +103,12 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """One for each module, in their usual order."""
     plugins = loop.plugins
 
-    def starter(kind: ModuleKind, work: Callable[[Any, Stage], ModuleView]) -> Any:
+    def starter(kind: ModuleKind, work: Callable[[Any, Stage, str], ModuleView]) -> Any:
         async def handler(arguments: Any, context: CallContext) -> StartResult:
             started_s = time.monotonic()
-            view = await context.run(lambda stage: work(arguments, stage), on_cancel=lambda: loop.cancel(kind))
+            view = await context.run(
+                lambda stage: work(arguments, stage, context.role), on_cancel=lambda: loop.cancel(kind)
+            )
             return _started(view, started_s)
 
         return handler
@@ -120,7 +126,9 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             description=describe("robot", "Connect to the robot, or start its simulation; it holds where it is."),
             arguments=StartRobot,
             result=StartResult,
-            handler=starter("robot", lambda a, stage: loop.start_robot(a.robot, a.driver, a.options, stage)),
+            handler=starter(
+                "robot", lambda a, stage, role: loop.start_robot(a.robot, a.driver, a.options, stage, role)
+            ),
             open_world=True,
             choices={"robot": lambda: plugins.choices("robot")},
         ),
@@ -131,7 +139,8 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             arguments=StartPerception,
             result=StartResult,
             handler=starter(
-                "perception", lambda a, stage: loop.start_perception(a.source, tuple(a.cameras), a.options, stage)
+                "perception",
+                lambda a, stage, role: loop.start_perception(a.source, tuple(a.cameras), a.options, stage, role),
             ),
             open_world=True,
             choices={"source": lambda: plugins.choices("perception")},
@@ -144,7 +153,7 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             ),
             arguments=StartControl,
             result=StartResult,
-            handler=starter("control", lambda a, stage: loop.start_control(a.controller, a.options, stage)),
+            handler=starter("control", lambda a, stage, role: loop.start_control(a.controller, a.options, stage, role)),
             open_world=True,
             choices={"controller": lambda: plugins.choices("controller")},
         ),
@@ -158,7 +167,7 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             ),
             arguments=StartInference,
             result=StartResult,
-            handler=starter("inference", lambda a, stage: loop.start_inference(a.to_request(), stage)),
+            handler=starter("inference", lambda a, stage, role: loop.start_inference(a.to_request(), stage, role)),
             open_world=True,
             choices=inference_choices(loop),
         ),

@@ -58,14 +58,14 @@ def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
 
     def switcher(
         kind: ModuleKind,
-        switch: Callable[[Any, SwitchMode, Stage], Switched],
+        switch: Callable[[Any, SwitchMode, Stage, str], Switched],
         roll_back: Callable[[SwitchMode, Stage], Switched],
     ) -> Any:
         async def handler(arguments: Any, context: CallContext) -> SwitchResult:
             def work(stage: Stage) -> Switched:
                 if arguments.rollback:
                     return roll_back(arguments.mode, stage)
-                return switch(arguments, arguments.mode, stage)
+                return switch(arguments, arguments.mode, stage, context.role)
 
             return switch_result(await context.run(work, on_cancel=lambda: loop.cancel(kind)))
 
@@ -86,7 +86,7 @@ def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             result=SwitchResult,
             handler=switcher(
                 "inference",
-                lambda a, mode, stage: loop.switch_inference(a.to_request(), mode, stage),
+                lambda a, mode, stage, role: loop.switch_inference(a.to_request(), mode, stage, role),
                 loop.roll_back_inference,
             ),
             destructive=True,
@@ -107,7 +107,9 @@ def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             result=SwitchResult,
             handler=switcher(
                 "perception",
-                lambda a, mode, stage: loop.switch_perception(a.source, tuple(a.cameras), a.options, mode, stage),
+                lambda a, mode, stage, role: loop.switch_perception(
+                    a.source, tuple(a.cameras), a.options, mode, stage, role
+                ),
                 loop.roll_back_perception,
             ),
             destructive=True,
@@ -128,7 +130,7 @@ def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             result=SwitchResult,
             handler=switcher(
                 "control",
-                lambda a, mode, stage: loop.switch_control(a.controller, a.options, mode, stage),
+                lambda a, mode, stage, role: loop.switch_control(a.controller, a.options, mode, stage, role),
                 loop.roll_back_control,
             ),
             destructive=True,

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from roboneuron.config import ServerConfig
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.priority import lower
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
@@ -102,13 +103,17 @@ class Launcher:
 
     def _spawn(self, slot: Slot, settings: ModuleSettings, python: str | None) -> ModuleProcess:
         command = self._command(python)
+        tokens = settings.config.server.tokens
+        secrets = [token.variable for token in tokens if token.variable is not None]
+        # A plugin has no use for the server's section, which tells where tokens are.
+        told = settings.model_copy(update={"config": settings.config.model_copy(update={"server": ServerConfig()})})
         check_state_directory(self._log_directory)
         try:
             process = self._spawner.spawn(
                 settings.node_name,
                 command,
-                module_environment(python, next(self._starts)),
-                settings.model_dump_json(),
+                module_environment(python, next(self._starts), secrets),
+                told.model_dump_json(),
                 self._log_directory / f"{settings.node_name}.log",
             )
         except OSError as error:

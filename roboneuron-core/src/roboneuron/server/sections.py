@@ -1,0 +1,94 @@
+"""What `[plugins.<name>]` and `agent_options` of a configuration say, against what is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+
+from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
+from roboneuron.plugins.loading import load_options, load_options_model
+from roboneuron.plugins.packages import install_command, known_names
+from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+
+
+def check_sections(config: Config, registry: Registry) -> None:
+    """Refuse options of what does not exist, unknown options, and values that no plugin of that name takes.
+
+    Options that are missing are no error: an agent may give them, or never choose that plugin.
+
+    Raises:
+        ConfigurationError: says all that is wrong.
+    """
+    problems = []
+    for name, options in config.plugins.items():
+        problems += _problems_of_name(f"[plugins.{name}]", name, registry) or _problems_of_options(
+            name, options, registry
+        )
+    for entry in config.server.agent_options:
+        name, _, option = entry.partition(".")
+        problems += _problems_of_name(f"agent_options {entry!r}", name, registry) or _problems_of_entry(
+            entry, name, option, registry
+        )
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _problems_of_name(place: str, name: str, registry: Registry) -> list[str]:
+    """Whether anything that is installed, or left out on purpose, has that name."""
+    installed = {offer.spec.name for offer in registry.all_offers}
+    if name in installed:
+        return []
+    ours = known_names()
+    silent = [p.distribution for p in registry.plugins if p.status in (Status.DISABLED, Status.FAILED)]
+    if name in ours:
+        package = ours[name]
+        if package.partition("[")[0] in silent:
+            return []
+        return [f"{place}: {name!r} is not installed. Run: {install_command(package)}."]
+    close = get_close_matches(name, {*installed, *ours}, n=1)
+    if not close and silent:
+        return []  # one of those that did not load may have that name
+    nearest = f"Did you mean {close[0]!r}?" if close else f"Installed are: {', '.join(sorted(installed)) or 'none'}."
+    return [f"{place}: nothing is called {name!r}. {nearest}"]
+
+
+def _problems_of_options(name: str, options: Mapping[str, object], registry: Registry) -> list[str]:
+    """Why none of those that read this section can take it; empty when one can."""
+    problems = []
+    for spec in _readers(name, registry):
+        try:
+            load_options(spec, options, section=f"plugins.{name}", is_partial=True)
+        except ConfigurationError as error:
+            problems.append(str(error))
+        except (MissingDependencyError, PluginError):
+            return []  # not to be judged here; told where it is chosen
+        else:
+            return []
+    return problems[:1]
+
+
+def _problems_of_entry(entry: str, name: str, option: str, registry: Registry) -> list[str]:
+    known: set[str] = set()
+    for spec in _readers(name, registry):
+        try:
+            model = load_options_model(spec)
+        except (MissingDependencyError, PluginError):
+            return []
+        if model is not None:
+            known |= {field.alias or key for key, field in model.model_fields.items()}
+    first = option.partition(".")[0]
+    if first in known:
+        return []
+    close = get_close_matches(first, known, n=1)
+    nearest = f"Did you mean {name}.{close[0]}?" if close else f"Its options: {', '.join(sorted(known)) or 'none'}."
+    return [f"agent_options {entry!r}: {name!r} has no option {first!r}. {nearest}"]
+
+
+def _readers(name: str, registry: Registry) -> Iterator[Spec | DriverSpec]:
+    """Whatever reads `[plugins.<name>]`: offers of that name; of a robot, its drivers."""
+    for offer in registry.all_offers:
+        if offer.spec.name == name:
+            yield from offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)
