@@ -16,7 +16,6 @@ from anyio import to_thread
 from mcp import types
 from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
-from mcp.server.stdio import stdio_server
 from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
@@ -40,7 +39,7 @@ from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
-from roboneuron.server.stdio import LineReader, LineWriter, ReadableMessages
+from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -258,8 +257,8 @@ def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
 
 async def _serve(application: Application, wire: tuple[int, int]) -> None:
     application.notices.attach(asyncio.get_running_loop())
-    reader, writer = LineReader(wire[0]), LineWriter(wire[1])
-    reader.start()
+    writer = LineWriter(wire[1])
+    reader = MessageReader(wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64)
     writer.start()
 
     async def leave_on_signal(scope: anyio.CancelScope) -> None:
@@ -269,14 +268,13 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
                 scope.cancel()
                 return
 
-    log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal, group.cancel_scope)
         group.start_soon(application.settle)
-        # The streams only need to be iterated and written to.
-        async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
-            server = application.server
-            readable = cast(Any, ReadableMessages(read_stream, writer))
-            await server.run(readable, write_stream, server.create_initialization_options(CHANGES))
+        server = application.server
+        reader.start()
+        log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
+        streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
+        await server.run(*streams, server.create_initialization_options(CHANGES))
         group.cancel_scope.cancel()
     writer.close()
