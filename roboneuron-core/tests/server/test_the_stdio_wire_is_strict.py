@@ -6,7 +6,7 @@ import asyncio
 import json
 import os
 import threading
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -61,7 +61,7 @@ class Wire:
 
 
 @pytest.fixture
-def serve(application: Application) -> Iterator[Callable[[Work], None]]:
+def serve(application: Application) -> Callable[[Work], None]:
     """Serve one client of two pipes."""
 
     async def scenario(work: Work) -> None:
@@ -87,7 +87,7 @@ def serve(application: Application) -> Iterator[Callable[[Work], None]]:
         lines.close()
         os.close(server_out)
 
-    yield lambda work: anyio.run(scenario, work)
+    return lambda work: anyio.run(scenario, work)
 
 
 async def still_works(wire: Wire) -> None:

@@ -22,7 +22,7 @@ from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.access import holder_of
+from roboneuron.server.access import has_left, holder_of
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.guard import Guard
@@ -60,6 +60,16 @@ CHANGES = NotificationOptions(tools_changed=True)
 """What clients are told about that changes while they are connected."""
 
 
+class _Server(Server[Any]):
+    """Announces the same changes on every transport: over HTTP the SDK asks for no options."""
+
+    def create_initialization_options(
+        self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
+    ) -> Any:
+        """See Server."""
+        return super().create_initialization_options(notification_options or CHANGES, *arguments, **named)
+
+
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
@@ -68,6 +78,9 @@ class RequestContext:
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
+        params = request.session.client_params if holder.client.startswith("pid") else None
+        if params is not None:  # several clients in one process may be told apart by what they call themselves
+            self.who += f" ({''.join(c for c in params.client_info.name[:40] if c.isascii() and c.isalnum())})"
 
     async def run(
         self,
@@ -132,7 +145,8 @@ class Application:
         self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
         self.guard = Guard(self.loop, self.notices.resource_updated)
-        self.operating = Operating(config.server.lease_s, self.loop.emergency_stop.audit, self._on_lapse)
+        audit = self.loop.emergency_stop.audit
+        self.operating = Operating(config.server.lease_s, audit, self._on_lapse, has_left=has_left)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -225,7 +239,7 @@ class Application:
             self.notices.unsubscribe(context, str(params.uri))
             return types.EmptyResult()
 
-        return Server(
+        return _Server(
             name,
             version=__version__,
             instructions=INSTRUCTIONS,
@@ -275,6 +289,6 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
         reader.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
         streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
-        await server.run(*streams, server.create_initialization_options(CHANGES))
+        await server.run(*streams, server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()
