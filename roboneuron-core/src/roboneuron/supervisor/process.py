@@ -19,6 +19,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from roboneuron.log_files import escaped, make_log_directory, opener
 from roboneuron.ros.dead_ports import LEASE_S, SilentPorts, release_dead_locks
 from roboneuron.ros.segments import owned_segments
 from roboneuron.supervisor.logs import read_tail
@@ -58,8 +59,8 @@ class ModuleProcess:
 
     def note(self, line: str) -> None:
         """Add a line to its log, so that it stands among its last ones."""
-        with suppress(OSError), self.log_path.open("a", encoding="utf-8") as log_file:
-            log_file.write(f"{line}\n")
+        with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
+            file.write(f"{escaped(line)}\n")
 
     def note_segments(self) -> frozenset[str]:
         """Remember which shared-memory files it owns, in case it has no time to remove them itself."""
@@ -161,8 +162,8 @@ class Spawner:
         self, name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
     ) -> ModuleProcess:
         self._retire_ports(LEASE_S)
-        log_path.parent.mkdir(parents=True, exist_ok=True)
-        with log_path.open("ab") as output:
+        make_log_directory(log_path.parent)
+        with open(log_path, "ab", opener=opener) as output:
             offset = output.tell()
             child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it
                 list(command),
