@@ -15,15 +15,11 @@ from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.interfaces import Interface, MessageInterface, load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
-from roboneuron.server.direct.parameter_nodes import (
-    ParameterNode,
-    check_parameter_node,
-    parameter_node,
-    same_for_each_node,
-)
+from roboneuron.server.direct.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from roboneuron.server.direct.topic_limits import (
     check_reserved,
     limits_of,
+    not_looser,
     pattern_limits,
     same_for_each_topic,
     tightened_by,
@@ -166,21 +162,12 @@ def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] =
     for entry in added:
         take(entry, config.discover)
     namespaces = {robot.namespace: robot.name for robot in robots.values()}
-    for node in nodes:
-        check_parameter_node(node, namespaces)
     profiles = [e for robot in robots.values() for e in _profile_endpoints(robot)]
     shown = same_for_each_topic(drafts.values(), [*profiles, *earlier])
     for exposed in shown:
         check_reserved(exposed, namespaces)
-    made = tuple(unique(_not_looser(exposed, configured) for exposed in shown))
-    return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes)))
-
-
-def _not_looser(exposed: Exposed, before: Iterable[Exposed]) -> Exposed:
-    """What run time adds to a topic of the configuration moves as it did, and may hold no more than it did."""
-    use = exposed.topic, exposed.endpoint.kind
-    same = [e for e in before if (e.topic, e.endpoint.kind) == use]
-    return same_for_each_topic([exposed, *same], ())[0] if same else exposed
+    made = tuple(unique(not_looser(exposed, configured) for exposed in shown))
+    return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
 def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:

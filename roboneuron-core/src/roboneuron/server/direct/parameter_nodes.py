@@ -82,14 +82,20 @@ def check_parameter_node(node: ParameterNode, namespaces: Mapping[str, str]) -> 
         raise ConfigurationError(f"The parameters of {node.node}, a module of RoboNeuron, cannot be exposed.")
 
 
-def same_for_each_node(nodes: Sequence[ParameterNode]) -> list[ParameterNode]:
+def same_for_each_node(nodes: Sequence[ParameterNode], namespaces: Mapping[str, str]) -> list[ParameterNode]:
     """Every name of a node with the bounds, the rate and the motion of all of them.
 
+    Args:
+        nodes: what is exposed.
+        namespaces: robot by ROS namespace.
+
     Raises:
-        ConfigurationError: two bounds of one parameter have nothing in common.
+        ConfigurationError: two bounds of one parameter have nothing in common, or the node is a module or another
+            robot's.
     """
     made = []
     for node in nodes:
+        check_parameter_node(node, namespaces)
         names = [other for other in nodes if other.node == node.node]
         bounds = dict(node.bounds)
         for path, (low, high) in ((path, span) for other in names for path, span in other.bounds.items()):

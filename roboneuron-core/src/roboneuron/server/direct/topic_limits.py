@@ -135,6 +135,13 @@ def same_for_each_topic(drafts: Iterable[Exposed], sources: Sequence[Exposed]) -
     return made
 
 
+def not_looser(exposed: Exposed, before: Iterable[Exposed]) -> Exposed:
+    """What run time adds to a topic of the configuration moves as it did, and may hold no more than it did."""
+    use = exposed.topic, exposed.endpoint.kind
+    same = [e for e in before if (e.topic, e.endpoint.kind) == use]
+    return same_for_each_topic([exposed, *same], ())[0] if same else exposed
+
+
 def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
     """The endpoint with what patterns of the configuration say about numbers of its type on topics like this one."""
     for entry in patterns:
