@@ -97,6 +97,7 @@ bounds = { "order" = [0, 100] }
 name = "robot_node"
 kind = "parameters"
 topic = "robot_node"
+parameters = ["label", "nothing"]
 bounds = { "gain" = [0, 10] }
 """
 
@@ -130,6 +131,7 @@ class Rover:
         self.node = rclpy.create_node("robot_node", namespace="rover", context=self.context)
         self.node.declare_parameter("gain", 1.5)
         self.node.declare_parameter("label", "a")
+        self.node.declare_parameter("secret", "b")
         self.received: list[tuple[float, str, Any]] = []
         self.goals: list[str] = []
         group = ReentrantCallbackGroup()

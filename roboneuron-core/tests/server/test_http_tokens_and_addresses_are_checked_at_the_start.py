@@ -11,7 +11,7 @@ from roboneuron.cli.serve import configure, with_server
 from roboneuron.config import Config, TokenConfig, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.http import listen, serve_http
-from roboneuron.server.http_border import security_settings
+from roboneuron.server.http_origin import HostRules
 from roboneuron.server.tokens import TokenFiles, TokenTable, read_tokens
 
 GOOD = "a-token-of-sufficient-length"
@@ -37,9 +37,50 @@ def test_with_a_token_it_listens_for_others() -> None:
 
 def test_listening_everywhere_needs_the_names_of_this_machine() -> None:
     with pytest.raises(ConfigurationError, match="allowed_hosts"):
-        security_settings(config('host = "0.0.0.0"').server)
-    named = security_settings(config('host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]').server)
-    assert {"robot.lan", "robot.lan:*"} <= set(named.allowed_hosts)
+        HostRules(config('host = "0.0.0.0"').server)
+    named = HostRules(config('host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]').server)
+    assert named.allows_host(["robot.lan"])
+    assert named.allows_host(["Robot.LAN:8765"])
+
+
+RULES = HostRules(
+    config(
+        'allowed_hosts = ["robot.lan", "proxy.lan:8443", "fd00::1"]\n'
+        'allowed_origins = ["https://panel.lan", "http://tool.lan:*"]'
+    ).server
+)
+
+
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1:8765", "localhost", "[::1]:1", "robot.lan.", "proxy.lan:8443", "[fd00:0::1]"]
+)
+def test_hosts_of_this_server_are_known_in_every_spelling(host: str) -> None:
+    assert RULES.allows_host([host])
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["", "robot.lan:evil", "robot.lan:80@evil", "robot.lan:99999", "robot.lan.evil", "robot.lan:*", "proxy.lan:8444",
+     "proxy.lan", "127.0.0.1:8765:1", "localhost:80/x", "user@localhost", "[::1", " localhost"],
+)  # fmt: skip
+def test_hosts_that_only_begin_like_one_of_ours_are_refused(host: str) -> None:
+    assert not RULES.allows_host([host])
+    assert not RULES.allows_host([])
+    assert not RULES.allows_host(["localhost", "localhost"])
+
+
+def test_origins_are_parsed() -> None:
+    good = ["https://panel.lan", "https://PANEL.lan:443", "http://localhost:3000", "http://tool.lan:5", "http://[::1]"]
+    bad = ["null", "https://panel.lan.evil", "https://panel.lan:444", "http://panel.lan", "http://localhost:80.evil",
+           "http://tool.lan:5@evil", "https://localhost", "http://tool.lan:*", "file://", "http://"]  # fmt: skip
+    assert [text for text in good if not RULES.allows_origin(text)] == []
+    assert [text for text in bad if RULES.allows_origin(text)] == []
+
+
+@pytest.mark.parametrize("line", ['allowed_origins = ["panel.lan"]', 'allowed_hosts = ["http://robot.lan"]'])
+def test_what_cannot_be_a_host_or_an_origin_is_refused(line: str) -> None:
+    with pytest.raises(ConfigurationError, match="is none"):
+        HostRules(config(line).server)
 
 
 def test_a_port_in_use_is_named() -> None:

@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_fastdds.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
+from roboneuron.log_files import make_log_directory, opener
 
 log = logging.getLogger(__name__)
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
@@ -104,8 +105,8 @@ class SegmentRecord:
         """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
         with self._lock:
             try:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                with self._path.open("a", encoding="ascii") as file:
+                make_log_directory(self._path.parent)
+                with open(self._path, "a", encoding="ascii", opener=opener) as file:
                     file.writelines(f"{name}\n" for name in sorted(names))
             except OSError as error:
                 log.warning("The names of shared-memory files cannot be recorded: %s", error)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import logging
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from roboneuron.log_files import begin_logging
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
@@ -32,9 +32,7 @@ def run(arguments: Namespace) -> int:
     from roboneuron.server.stdio import divert_standard_streams
 
     wire = divert_standard_streams()
-    logging.basicConfig(
-        level=arguments.log_level.upper(), stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
+    begin_logging(arguments.log_level.upper())
     from roboneuron.config import load_config
 
     config = with_server(load_config(arguments.config), arguments)

@@ -38,7 +38,7 @@ class ServerConfig(Section):
         default=4 << 20, description="largest request over http"
     )
     max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
-        default=64, description="most tool calls at once; stops are always taken"
+        default=64, description="most tool calls at once of each role; stops are always taken"
     )
     tokens: tuple[TokenConfig, ...] = Field(
         default=(), strict=False, description="who may connect over http: tables of `name`, `role`, `variable`, `file`"
@@ -73,6 +73,9 @@ class ExposeConfig(Section):
     )
     type: str | None = Field(default=None, description="package/msg/Name, package/srv/Name or package/action/Name")
     summary: str = Field(default="", max_length=500, description="one line for the agent")
+    parameters: tuple[str, ...] = Field(
+        default=(), strict=False, description="of kind parameters: those that agents may use, besides those in bounds"
+    )
     bounds: dict[str, Range] = Field(default_factory=dict, description="[lowest, highest] by field path")
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most calls per second")
     clamp: tuple[str, ...] = Field(default=(), strict=False, description="fields that are clamped instead of refused")

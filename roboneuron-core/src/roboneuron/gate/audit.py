@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.errors import RefusedError
+from roboneuron.log_files import make_log_directory
 
 FILE_NAME = "audit.jsonl"
 """Name of the newest file in the state directory; older ones end in .1, .2 ..."""
@@ -120,7 +121,7 @@ class AuditLog:
                 if (ours.st_dev, ours.st_ino) == (there.st_dev, there.st_ino):
                     return
             self._close()
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_log_directory(self.path.parent)
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         self._descriptor = os.open(self.path, flags, 0o640)
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import ADMIN, has_role
+from roboneuron.log_files import make_log_directory
 
 FILE_NAME = "emergency_stop.latched"
 """Name of the latch in the state directory."""
@@ -123,7 +124,7 @@ class EmergencyStopLatch:
 
     def _create(self, state: LatchState) -> None:
         """Make the file with its cause; the latch holds without it, and the cause that came first is kept."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_log_directory(self.path.parent)
         try:
             descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
         except FileExistsError:

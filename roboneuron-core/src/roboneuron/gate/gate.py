@@ -61,6 +61,7 @@ class Gate:
         self._clock = clock
         self._dry_run = dry_run
         self._entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
 
     def replace(self, allowed: Iterable[AllowedEndpoint]) -> None:
@@ -70,14 +71,17 @@ class Gate:
             ConfigurationError: an endpoint cannot be exposed; the old list stays.
         """
         entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        rates: dict[tuple[str, ...], RateLimit] = {}
         for entry in allowed:
-            check_endpoint(entry.endpoint)
-            key = (entry.robot, entry.endpoint.name)
-            old = self._entries.get(key)
-            keeps = old is not None and old[0].endpoint.rate_hz == entry.endpoint.rate_hz
-            rate = old[1] if old is not None and keeps else RateLimit(entry.endpoint.rate_hz, self._clock)
-            entries[key] = (entry, rate)
-        self._entries = entries
+            endpoint = entry.endpoint
+            check_endpoint(endpoint)
+            # Two names of one topic are one stream of messages, whose rate the robot has to take.
+            place = (endpoint.kind, entry.topic) if entry.topic else (endpoint.kind, entry.robot, endpoint.name)
+            use = (*place, str(endpoint.rate_hz))
+            if use not in rates:
+                rates[use] = self._rates.get(use) or RateLimit(endpoint.rate_hz, self._clock)
+            entries[entry.robot, endpoint.name] = (entry, rates[use])
+        self._entries, self._rates = entries, rates
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
         """The allow list."""

@@ -31,6 +31,7 @@ class AllowedEndpoint:
         profile: the robot's facts; None for endpoints that belong to no robot.
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
+        topic: absolute name; entries of one topic and kind share its rate. Empty: the entry has a rate of its own.
     """
 
     robot: str
@@ -38,6 +39,7 @@ class AllowedEndpoint:
     profile: RobotProfile | None = None
     clamp: frozenset[str] = frozenset()
     nonfinite: frozenset[str] = frozenset()
+    topic: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

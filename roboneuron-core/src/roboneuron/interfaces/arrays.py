@@ -13,7 +13,7 @@ import numpy as np
 
 from roboneuron.interfaces.description import FLOAT32_MAX, Array, Scalar
 from roboneuron.interfaces.refusal import Mismatch, describe_value
-from roboneuron.interfaces.scalars import Budget, Encoder, make_scalar_encoder
+from roboneuron.interfaces.scalars import NONFINITE_NAMES, Budget, Encoder, make_scalar_encoder
 
 TYPECODES = {
     "float": "f", "double": "d",
@@ -142,6 +142,8 @@ def _within(numbers: Any, limit: float) -> bool:
 
 
 def _decode_base64(text: str, longest: int) -> bytes:
+    if text in NONFINITE_NAMES:  # "Infinity" would be six bytes, but whoever sends it means the number
+        raise Mismatch(describe_value(text), "a list of integers 0..255 or valid base64 text")
     if len(text) > (longest // 3 + 1) * 4:
         raise Mismatch(f"a base64 text of {len(text)} characters", f"at most {longest} bytes")
     try:

@@ -9,6 +9,7 @@ import sys
 from pydantic import ValidationError
 
 from roboneuron.errors import StateError
+from roboneuron.log_files import begin_logging
 from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.signals import Signals
@@ -89,7 +90,7 @@ def _call(reference: str) -> None:
 def main() -> None:
     """Entry point of a module process."""
     parent = os.getppid()
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    begin_logging(logging.INFO)
     follow_parent(parent)
     prepare_environment()
     try:

@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from roboneuron.errors import ConfigurationError
+from roboneuron.log_files import make_log_directory
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
@@ -47,7 +48,7 @@ def check_state_directory(directory: Path) -> None:
         ConfigurationError: neither is possible; names the directory and what to do.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        make_log_directory(directory)
         with TemporaryFile(dir=directory):
             pass
     except OSError as error:

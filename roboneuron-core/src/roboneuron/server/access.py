@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.server.tool import CallContext, DerivedTool, Tool
 
+_PROCESS = re.compile(r" pid ([0-9]+)\b")
 HOLDER_KEY = "roboneuron.holder"
 """Where the HTTP border leaves the Holder in the ASGI scope of a request."""
 
@@ -20,10 +23,17 @@ class Holder:
     Attributes:
         who: for the audit and the log.
         role: one of ROLES; anything else has no rights.
+        client: which of several clients without a token; empty for others.
     """
 
     who: str
     role: str
+    client: str = ""
+
+    @property
+    def account(self) -> str:
+        """Whose share of connections and sessions it uses: the token's, or that of all clients without one."""
+        return LOCAL_PROCESS.who if self.client else self.who
 
 
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
@@ -43,7 +53,18 @@ def holder_of(request: Any) -> Holder:
 
 def is_local(who: str) -> bool:
     """Whether that client was let in without a token; no token can have such a name."""
-    return who in (LOCAL_AGENT.who, LOCAL_PROCESS.who)
+    return who == LOCAL_AGENT.who or who.startswith(LOCAL_PROCESS.who)
+
+
+def local_client(client: str) -> Holder:
+    """A client of a server that asks for no token, told apart from others by its session or its process."""
+    return Holder(who=f"{LOCAL_PROCESS.who} {client}".rstrip(), role=LOCAL_PROCESS.role, client=client)
+
+
+def has_left(who: str) -> bool:
+    """Whether that client was a process of this machine that is gone."""
+    found = _PROCESS.search(who) if is_local(who) else None
+    return found is not None and not Path(f"/proc/{found.group(1)}").exists()
 
 
 def least_role(tool: Tool[Any] | DerivedTool) -> str:

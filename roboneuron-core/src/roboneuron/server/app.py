@@ -16,14 +16,13 @@ from anyio import to_thread
 from mcp import types
 from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
-from mcp.server.stdio import stdio_server
 from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.access import holder_of
+from roboneuron.server.access import has_left, holder_of
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.direct.path import DirectPath
@@ -44,7 +43,7 @@ from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
 from roboneuron.server.selection import check_configuration
-from roboneuron.server.stdio import LineReader, LineWriter, ReadableMessages
+from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -66,6 +65,16 @@ CHANGES = NotificationOptions(tools_changed=True)
 """What clients are told about that changes while they are connected."""
 
 
+class _Server(Server[Any]):
+    """Announces the same changes on every transport: over HTTP the SDK asks for no options."""
+
+    def create_initialization_options(
+        self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
+    ) -> Any:
+        """See Server."""
+        return super().create_initialization_options(notification_options or CHANGES, *arguments, **named)
+
+
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
@@ -74,6 +83,9 @@ class RequestContext:
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
+        params = request.session.client_params if holder.client.startswith("pid") else None
+        if params is not None:  # several clients in one process may be told apart by what they call themselves
+            self.who += f" ({''.join(c for c in params.client_info.name[:40] if c.isascii() and c.isalnum())})"
 
     async def run(
         self,
@@ -147,7 +159,8 @@ class Application:
         self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.on_health(self._diagnostics.publish)
         self.guard = Guard(self.loop, self.events, self.notices.resource_updated)
-        self.operating = Operating(config.server.lease_s, self.loop.emergency_stop.audit, self._on_lapse)
+        audit = self.loop.emergency_stop.audit
+        self.operating = Operating(config.server.lease_s, audit, self._on_lapse, has_left=has_left)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -251,7 +264,7 @@ class Application:
             self.notices.unsubscribe(context, str(params.uri))
             return types.EmptyResult()
 
-        return Server(
+        return _Server(
             name,
             version=__version__,
             instructions=INSTRUCTIONS,
@@ -283,8 +296,8 @@ def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
 
 async def _serve(application: Application, wire: tuple[int, int]) -> None:
     application.notices.attach(asyncio.get_running_loop())
-    reader, writer = LineReader(wire[0]), LineWriter(wire[1])
-    reader.start()
+    writer = LineWriter(wire[1])
+    reader = MessageReader(wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64)
     writer.start()
 
     async def leave_on_signal(scope: anyio.CancelScope) -> None:
@@ -294,14 +307,13 @@ async def _serve(application: Application, wire: tuple[int, int]) -> None:
                 scope.cancel()
                 return
 
-    log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal, group.cancel_scope)
         group.start_soon(application.settle)
-        # The streams only need to be iterated and written to.
-        async with stdio_server(cast(Any, reader), cast(Any, writer)) as (read_stream, write_stream):
-            server = application.server
-            readable = cast(Any, ReadableMessages(read_stream, writer))
-            await server.run(readable, write_stream, server.create_initialization_options(CHANGES))
+        server = application.server
+        reader.start()
+        log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
+        streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
+        await server.run(*streams, server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()

@@ -10,25 +10,29 @@ import socket
 from asyncio import get_running_loop
 from collections.abc import Generator
 from contextlib import contextmanager
+from functools import partial
+from typing import Any, cast
 
 import anyio
 import uvicorn
+from mcp.server.transport_security import TransportSecuritySettings
 
 from roboneuron import __version__
 from roboneuron.config import Config, ServerConfig
 from roboneuron.errors import ConfigurationError
+from roboneuron.server.access import local_client
 from roboneuron.server.app import Application
-from roboneuron.server.http_border import Border, security_settings
+from roboneuron.server.http_border import Border, session_name
+from roboneuron.server.http_connections import BoundedProtocol, ConnectionTable
+from roboneuron.server.http_origin import HostRules
+from roboneuron.server.http_sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.tokens import TokenFiles, TokenTable
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
-_MOST_SESSIONS = 256
-_SESSION_IDLE_S = 600.0
 _LEAVE_S = 1
 """Open streams get this long when the server ends; then they are cut."""
-_MOST_CONNECTIONS = 512
 _KEEP_ALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 5000}
 """Socket options: s, s, probes, ms. A silent peer is gone after 5 s."""
 
@@ -42,23 +46,50 @@ def serve_http(config: Config) -> None:
     """
     section = config.server
     tokens = TokenFiles(section.tokens, os.environ)
-    security = security_settings(section)
+    rules = HostRules(section)
     with listen(section, tokens) as listener:
         application = Application(config)
         try:
             check_configuration(config, application.plugins.current())
-            inner = application.server.streamable_http_app(
-                streamable_http_path=PATH,
-                max_request_body_size=section.max_request_bytes,
-                session_idle_timeout=_SESSION_IDLE_S,
-                max_sessions=_MOST_SESSIONS,
-                transport_security=security,
-            )
+            server = make_server(application, rules, tokens)
             application.loop.emergency_stop.press_on_signal(config.namespace)
             application.open()
-            anyio.run(_serve, application, Border(inner, security, tokens), listener)
+            anyio.run(_serve, application, server, listener)
         finally:
             application.close()
+
+
+def make_server(application: Application, rules: HostRules, tokens: TokenTable) -> uvicorn.Server:
+    """The HTTP server of an application; `serve` it with a socket."""
+    section = application.loop.config.server
+
+    def release(session: str) -> None:
+        """A client without a token operates no more once its session ended."""
+        application.operating.release(local_client(session_name(session)).who)
+
+    inner = application.server.streamable_http_app(
+        streamable_http_path=PATH,
+        max_request_body_size=section.max_request_bytes,
+        session_idle_timeout=IDLE_S,
+        max_sessions=MOST_SESSIONS,
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # the border's task
+    )
+    application.server.middleware.append(note_handled)
+    most = MOST_SESSIONS_OF_ONE if tokens else MOST_SESSIONS
+    connections = ConnectionTable()
+    return _Server(
+        uvicorn.Config(
+            Border(Sessions(inner, section.max_request_bytes, most, release), rules, tokens, connections),
+            http=cast(Any, partial(BoundedProtocol, connections)),
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=_LEAVE_S,
+            ws="none",
+        )
+    )
 
 
 def listen(section: ServerConfig, tokens: TokenTable) -> socket.socket:
@@ -107,22 +138,17 @@ class _Server(uvicorn.Server):
     def capture_signals(self) -> Generator[None, None, None]:
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Say where it serves once it does."""
+        await super().startup(sockets)
+        for listener in sockets or ():
+            host, port = listener.getsockname()[:2]
+            shown = f"[{host}]" if ":" in host else host
+            log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())
 
-async def _serve(application: Application, border: Border, listener: socket.socket) -> None:
+
+async def _serve(application: Application, server: uvicorn.Server, listener: socket.socket) -> None:
     application.notices.attach(get_running_loop())
-    server = _Server(
-        uvicorn.Config(
-            border,
-            log_config=None,
-            access_log=False,
-            lifespan="on",
-            server_header=False,
-            proxy_headers=False,
-            timeout_graceful_shutdown=_LEAVE_S,
-            limit_concurrency=_MOST_CONNECTIONS,
-            ws="none",
-        )
-    )
 
     async def leave_on_signal() -> None:
         with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
@@ -131,9 +157,6 @@ async def _serve(application: Application, border: Border, listener: socket.sock
                 server.should_exit = True
                 return
 
-    host, port = listener.getsockname()[:2]
-    shown = f"[{host}]" if ":" in host else host
-    log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal)
         group.start_soon(application.settle)

@@ -1,88 +1,161 @@
-"""The border of the HTTP server: which hosts and pages may knock, and whose token a request carries."""
+"""The border of the HTTP server: which hosts and pages may connect, whose token a request carries, and who is full."""
 
 from __future__ import annotations
 
 import logging
 
+from anyio import to_thread
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
-from mcp.server.transport_security import TransportSecurityMiddleware, TransportSecuritySettings
+from pydantic_core import from_json
 from starlette.datastructures import Headers
-from starlette.requests import Request
-from starlette.responses import JSONResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.middleware.cors import CORSMiddleware
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from roboneuron.config import ServerConfig
-from roboneuron.errors import ConfigurationError
-from roboneuron.server.access import HOLDER_KEY, LOCAL_PROCESS, Holder
-from roboneuron.server.lost import CONNECTION_KEY, Connection
+from roboneuron.server.access import HOLDER_KEY, Holder, local_client
+from roboneuron.server.envelope import BUSY, is_urgent
+from roboneuron.server.http_connections import CONNECTION_KEY, BoundedProtocol, ConnectionTable
+from roboneuron.server.http_origin import HostRules
+from roboneuron.server.http_sessions import SESSION_HEADER
+from roboneuron.server.lost import CONNECTION_KEY as LOST_KEY
+from roboneuron.server.lost import Connection
+from roboneuron.server.peers import peer_process
 from roboneuron.server.tokens import TokenTable
 
 log = logging.getLogger(__name__)
-_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
-_ANY_ADDRESS = ("0.0.0.0", "::", "")
-
-
-def security_settings(section: ServerConfig) -> TransportSecuritySettings:
-    """Host and Origin headers that are accepted.
-
-    Raises:
-        ConfigurationError: the server listens on every address and no name of this machine is given.
-    """
-    if section.host in _ANY_ADDRESS and not section.allowed_hosts:
-        raise ConfigurationError(
-            f"host = {section.host!r} listens on every address, so [server] must name in allowed_hosts how clients "
-            "call this machine.",
-            hint='Such as allowed_hosts = ["robot.lan", "192.168.1.20"].',
-        )
-    names = [*_LOOPBACK_NAMES, *section.allowed_hosts]
-    if section.host not in _ANY_ADDRESS:
-        names.append(f"[{section.host}]" if ":" in section.host else section.host)
-    return TransportSecuritySettings(
-        enable_dns_rebinding_protection=True,
-        allowed_hosts=[text for name in names for text in (name, f"{name}:*")],
-        allowed_origins=[*(f"http://{name}:*" for name in _LOOPBACK_NAMES), *section.allowed_origins],
-    )
+_MOST_STOP_BYTES = 65536
 
 
 class Border:
     """ASGI application around another: checks Host and Origin, then the token, and notes the Holder in the scope.
 
-    Without tokens everybody who gets here is a local process with every role; `serve_http` sees to it that this is so
-    on loopback only.
+    Without tokens everybody who gets here is a local process with every role, told apart by its session or, where the
+    protocol has none, by its process; `serve_http` sees to it that this is so on loopback only.
     """
 
-    def __init__(self, app: ASGIApp, security: TransportSecuritySettings, tokens: TokenTable) -> None:
+    def __init__(
+        self, app: ASGIApp, rules: HostRules, tokens: TokenTable, connections: ConnectionTable | None = None
+    ) -> None:
         self._app = app
-        self._security = TransportSecurityMiddleware(security)
+        self._rules = rules
         self._tokens = tokens
+        self._connections = connections or ConnectionTable()
+        self._for_pages = _Pages(self._admit, rules)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        refusal = await self._security.validate_request(Request(scope))
-        if refusal is not None:
-            await refusal(scope, receive, send)
-            return
-        holder = self._holder(Headers(scope=scope).getlist("authorization"))
+        headers = Headers(scope=scope)
+        origins = headers.getlist("origin")
+        if not self._rules.allows_host(headers.getlist("host")):
+            log.warning("Refused a request for the host %r.", headers.get("host", "")[:100])
+            await Response("Invalid Host header", status_code=421)(scope, receive, send)
+        elif origins and not (len(origins) == 1 and self._rules.allows_origin(origins[0])):
+            log.warning("Refused a request of a page of %r.", origins[0][:100])
+            await Response("Invalid Origin header", status_code=403)(scope, receive, send)
+        else:
+            await self._for_pages(scope, receive, send)
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        transport = scope.get("state", {}).get(CONNECTION_KEY)
+        holder = await self._holder(headers, scope, transport)
         if holder is None:
             log.warning("Refused a request without a valid token.")
             await _unauthorized()(scope, receive, send)
             return
+        if isinstance(transport, BoundedProtocol) and not self._connections.prove(transport, holder.account):
+            is_stop, receive = await _look_for_stop(receive)
+            if not is_stop:
+                log.warning("Refused a request of %r: it has too many connections.", holder.account)
+                await _too_many(holder)(scope, receive, send)
+                return
+            self._connections.prove(transport, holder.account, is_stop=True)
         # The SDK binds a session to this user: a session of one token cannot be used with another.
-        user = AuthenticatedUser(AccessToken(token="", client_id=holder.who, scopes=[holder.role]))
+        user = AuthenticatedUser(AccessToken(token="", client_id=holder.account, scopes=[holder.role]))
         connection = Connection(receive)
-        inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
+        inner = {**scope, HOLDER_KEY: holder, LOST_KEY: connection, "user": user}
         await self._app(inner, connection.receive, send)
 
-    def _holder(self, headers: list[str]) -> Holder | None:
+    async def _holder(self, headers: Headers, scope: Scope, transport: object) -> Holder | None:
         if not self._tokens:
-            return LOCAL_PROCESS
-        if len(headers) != 1:
+            session = headers.get(SESSION_HEADER)
+            if session is not None:
+                return local_client(session_name(session))
+            return local_client(await _process_of(scope, transport))
+        found = headers.getlist("authorization")
+        if len(found) != 1:
             return None
-        scheme, _, token = headers[0].partition(" ")
+        scheme, _, token = found[0].partition(" ")
         return self._tokens.find(token.strip()) if scheme.lower() == "bearer" else None
+
+
+class _Pages(CORSMiddleware):
+    """Answers preflights and adds the headers by which a browser lets an allowed page read the answer."""
+
+    def __init__(self, app: ASGIApp, rules: HostRules) -> None:
+        super().__init__(
+            app,
+            allow_origins=["null"],  # any entry but "*": which ones is asked below
+            allow_methods=["GET", "POST", "DELETE"],
+            allow_headers=["*"],  # what the preflight asks for: Authorization, Mcp-* and others
+            expose_headers=["Mcp-Session-Id", "WWW-Authenticate"],
+            allow_private_network=True,
+        )
+        self._rules = rules
+
+    def is_allowed_origin(self, origin: str) -> bool:
+        """See CORSMiddleware."""
+        return self._rules.allows_origin(origin)
+
+
+def session_name(session: str) -> str:
+    """What a client without a token is called after its session."""
+    return f"session {''.join(c for c in session[:8] if c.isalnum())}"
+
+
+async def _process_of(scope: Scope, transport: object) -> str:
+    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not known."""
+    client = scope.get("client")
+    if not isinstance(transport, BoundedProtocol) or client is None:
+        return ""
+    if transport.peer is None:
+        pid = await to_thread.run_sync(peer_process, int(client[1]), int(scope["server"][1]))
+        transport.peer = f"pid {pid}" if pid else ""
+    return transport.peer
+
+
+async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
+    """Whether the body is an emergency stop, and the channel with the body still to come."""
+    messages: list[Message] = []
+    body = b""
+    while True:
+        message = await receive()
+        messages.append(message)
+        body += message.get("body", b"")
+        if not message.get("more_body", False) or len(body) > _MOST_STOP_BYTES:
+            break
+    messages.reverse()
+
+    async def replay() -> Message:
+        return messages.pop() if messages else await receive()
+
+    try:
+        raw = from_json(body)
+    except ValueError:
+        return False, replay
+    return isinstance(raw, dict) and is_urgent(raw.get("method"), raw.get("params")), replay
+
+
+def _too_many(holder: Holder) -> JSONResponse:
+    text = f"{holder.account!r} has too many connections; emergency_stop is still taken."
+    return JSONResponse(
+        {"jsonrpc": "2.0", "id": None, "error": {"code": BUSY, "message": text}},
+        status_code=503,
+        headers={"Connection": "close"},
+    )
 
 
 def _unauthorized() -> JSONResponse:

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from roboneuron.log_files import make_log_directory, opener
+
 log = logging.getLogger(__name__)
 FOLDER = "incidents"
 _KEPT = 200
@@ -49,9 +51,10 @@ class Incidents:
         record = {"id": name.removesuffix(".json"), "at": at.isoformat(), "module": module, "what": what, **facts}
         path = self.directory / name
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
+            make_log_directory(self.directory)
             temporary = path.with_suffix(".part")
-            temporary.write_text(json.dumps(record, indent=1), encoding="utf-8")
+            with open(temporary, "w", encoding="utf-8", opener=opener) as file:
+                json.dump(record, file, indent=1)
             temporary.replace(path)
             self._thin_out()
         except OSError as error:

@@ -39,6 +39,7 @@ class Operating:
         audit: gets a record of each take-over and lapse.
         on_lapse: ends all motion; told why.
         clock: monotonic time [s].
+        has_left: whether a client is gone for good, so that nobody has to take over from it.
     """
 
     def __init__(
@@ -47,11 +48,13 @@ class Operating:
         audit: AuditLog,
         on_lapse: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
+        has_left: Callable[[str], bool] = lambda who: False,
     ) -> None:
         self._lease_s = lease_s
         self._audit = audit
         self._on_lapse = on_lapse
         self._clock = clock
+        self._has_left = has_left
         self._lock = threading.Lock()
         self._operator = ""
         self._renewed_s = 0.0
@@ -66,7 +69,7 @@ class Operating:
         """
         acts = not tool.read_only and not tool.always and tool.name not in (TAKE_OVER, HEARTBEAT)
         with self._lock:
-            if acts and not self._operator:
+            if acts and (not self._operator or (context.who != self._operator and self._has_left(self._operator))):
                 self._operator = context.who
             if context.who == self._operator:
                 self._renewed_s = self._clock()
@@ -90,6 +93,12 @@ class Operating:
                 log.warning("%s operates the robot now; %s.", who, reason)
             self._operator, self._renewed_s = who, self._clock()
             return before if before != who else ""
+
+    def release(self, who: str) -> None:
+        """A client has left; if it was the operator, the next one that acts is."""
+        with self._lock:
+            if who == self._operator and self._lease_s is None:  # a lease ends motion first
+                self._operator = ""
 
     def look(self) -> None:
         """End motion when the lease has lapsed."""

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
+from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
+from roboneuron.log_files import PlainFormatter, make_log_directory, opener
+
 FILE_NAME = "server.log"
-FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _BYTES = 4 << 20
 """Then a new file is begun; one older one is kept."""
+
+
+class _PrivateFile(RotatingFileHandler):
+    def _open(self) -> TextIOWrapper:
+        return open(self.baseFilename, self.mode, encoding=self.encoding, opener=opener)  # type: ignore[return-value]
 
 
 class OwnLog:
@@ -31,9 +38,9 @@ class OwnLog:
         if self._handler is not None:
             return
         with suppress(OSError):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._handler = RotatingFileHandler(self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8")
-            self._handler.setFormatter(logging.Formatter(FORMAT))
+            make_log_directory(self.path.parent)
+            self._handler = _PrivateFile(self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8")
+            self._handler.setFormatter(PlainFormatter())
             self._handler.handleError = lambda record: None  # type: ignore[method-assign]
             root = logging.getLogger()
             self._level = root.level

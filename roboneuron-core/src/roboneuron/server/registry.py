@@ -6,6 +6,7 @@ import json
 import logging
 import uuid
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
@@ -31,7 +32,8 @@ class ToolRegistry:
     Args:
         tools: the first ones.
         admit: raises RoboNeuronError for a call that is not to be made now.
-        most_calls: more calls at once are refused, whoever makes them; what stops something is never refused.
+        most_calls: more calls at once of clients of one role are refused, so that those who look on cannot hold up
+            those who act; what stops something is never refused.
         ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
     """
 
@@ -46,7 +48,7 @@ class ToolRegistry:
         self._admit = admit
         self._ready = ready
         self._most_calls = most_calls
-        self._calls = 0
+        self._calls: Counter[str] = Counter()
         self._tools: dict[str, Tool[Any]] = {}
         self._output_schemas: dict[str, Schema] = {}
         self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
@@ -155,11 +157,11 @@ class ToolRegistry:
     async def _carry_out(
         self, tool: Tool[Any] | DerivedTool, arguments: Mapping[str, Any], context: CallContext
     ) -> Answer:
-        self._calls += 1
+        self._calls[context.role] += 1
         try:
-            if self._calls > self._most_calls and not tool.always:
+            if self._calls[context.role] > self._most_calls and not tool.always:
                 raise NotReadyError(
-                    f"{self._most_calls} calls are at work already, no more are taken.",
+                    f"{self._most_calls} calls are at work already for the role {context.role!r}, no more are taken.",
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
                 )
             self._admit(tool, context)
@@ -167,7 +169,7 @@ class ToolRegistry:
                 return await tool.handler(arguments, context)
             return await self._call_typed(tool, arguments, context)
         finally:
-            self._calls -= 1
+            self._calls[context.role] -= 1
 
     def _find(self, name: str) -> Tool[Any] | DerivedTool:
         derived = self._derived.get(name)

@@ -8,18 +8,26 @@ silent nor a stuck client can keep the server from leaving.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import queue
 import sys
 import threading
-from collections.abc import AsyncIterator
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
+from roboneuron.server.envelope import BUSY, INVALID_REQUEST, EnvelopeError, is_urgent, read_message, repeated
+
 MAX_LINE_BYTES = 16 * 1024 * 1024
-"""A longer line is not JSON-RPC that this server answers; it is dropped to the next newline."""
+"""A longer line is refused and dropped to the next newline."""
 _CHUNK = 65536
 _FLUSH_S = 1.0
+_URGENT, _OTHER, _PING = 0, 1, 2
+"""Lanes of waiting messages, the first first."""
+_MOST_PINGS = 16
+_MOST_WAITING = 1000
+_MOST_WAITING_BYTES = 64 * 1024 * 1024
 
 
 def divert_standard_streams() -> tuple[int, int]:
@@ -36,48 +44,6 @@ def divert_standard_streams() -> tuple[int, int]:
     return wire_in, wire_out
 
 
-class LineReader:
-    """Asynchronous iterator over the lines of a descriptor; ends with it."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._lines: asyncio.Queue[str | None] = asyncio.Queue()
-
-    def start(self) -> None:
-        """Begin to read; must be called with the event loop running."""
-        loop = asyncio.get_running_loop()
-        threading.Thread(target=self._read, args=(loop,), name="mcp-stdin", daemon=True).start()
-
-    def __aiter__(self) -> AsyncIterator[str]:
-        return self
-
-    async def __anext__(self) -> str:
-        line = await self._lines.get()
-        if line is None:
-            raise StopAsyncIteration
-        return line
-
-    def _read(self, loop: asyncio.AbstractEventLoop) -> None:
-        buffer, too_long = bytearray(), False
-        try:
-            while chunk := os.read(self._descriptor, _CHUNK):
-                buffer += chunk
-                *lines, rest = buffer.split(b"\n")
-                for line in lines:
-                    if not too_long and line.strip():
-                        loop.call_soon_threadsafe(self._lines.put_nowait, line.decode("utf-8", errors="replace"))
-                    too_long = False
-                buffer = bytearray(rest)
-                if len(buffer) > MAX_LINE_BYTES:
-                    too_long = True
-                    buffer.clear()
-        except OSError as error:
-            sys.stderr.write(f"Reading from the client failed: {error}\n")
-        finally:
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(self._lines.put_nowait, None)
-
-
 class LineWriter:
     """Writes to a descriptor on a thread; what the client does not take is dropped when the server ends."""
 
@@ -90,12 +56,9 @@ class LineWriter:
         """Begin to write."""
         self._thread.start()
 
-    async def write(self, text: str) -> None:
-        """Queue one message."""
-        self._queue.put(text.encode("utf-8"))
-
-    async def flush(self) -> None:
-        """Messages are written as they come."""
+    def write(self, text: str) -> None:
+        """Queue one line; never waits, callable from any thread."""
+        self._queue.put(text.encode("utf-8") + b"\n")
 
     def close(self) -> None:
         """Give the client a bounded time to take what is queued."""
@@ -113,34 +76,76 @@ class LineWriter:
                 return
 
 
-class ReadableMessages:
-    """The read stream of a stdio server without what is no JSON-RPC message.
+class MessageReader:
+    """The read stream of a stdio server: messages of a descriptor, until it ends.
 
-    That is answered with an error here, where the SDK only logs it: whoever sent it would wait for ever.
+    What is no message is answered here. So are requests whose id is still at work, and those that come while too many
+    wait. An emergency stop and a cancellation overtake the rest, and pings let everything else pass, so that a flood of
+    them holds nothing up.
+
+    Args:
+        descriptor: read by a thread of its own.
+        answer: gets the answers to what is refused; called from that thread.
+        most: requests that are at work at once; more wait here, where others can overtake them.
     """
 
-    def __init__(self, stream: Any, writer: LineWriter) -> None:
-        self._stream = stream
-        self._writer = writer
+    last_context = None
 
-    @property
-    def last_context(self) -> Any:
-        """As the SDK's own stream."""
-        return self._stream.last_context
+    def __init__(self, descriptor: int, answer: Callable[[str], None], most: int) -> None:
+        self._descriptor = descriptor
+        self._answer = answer
+        self._most = {_PING: _MOST_PINGS, _OTHER: most}
+        self._lock = threading.Lock()
+        self._waiting: dict[int, deque[tuple[Any, int]]] = {lane: deque() for lane in (_URGENT, _OTHER, _PING)}
+        self._waiting_bytes = 0
+        self._ids: dict[int | str, int] = {}
+        self._at_work = {_URGENT: 0, _OTHER: 0, _PING: 0}
+        self._has_ended = False
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._changed = asyncio.Event()
+
+    def start(self) -> None:
+        """Begin to read; must be called with the event loop running."""
+        self._loop = asyncio.get_running_loop()
+        threading.Thread(target=self._read, name="mcp-stdin", daemon=True).start()
 
     async def receive(self) -> Any:
-        """The next message."""
+        """The next message. Raises anyio.EndOfStream at the end."""
+        from anyio import EndOfStream
+        from mcp.shared.message import ServerMessageMetadata, SessionMessage
+
         while True:
-            item = await self._stream.receive()
-            if not isinstance(item, Exception):
-                return item
-            await self._writer.write(_unreadable(item) + "\n")
+            self._changed.clear()
+            message = self._next()
+            if message is not None:
+                request_id = getattr(message, "id", None) if hasattr(message, "method") else None
+                if request_id is None:
+                    return SessionMessage(message)
+
+                async def settled(request_id: int | str = request_id) -> None:
+                    self.settle(request_id)
+
+                return SessionMessage(message, ServerMessageMetadata(on_request_unanswered=settled))
+            if self._has_ended and not any(self._waiting.values()):
+                raise EndOfStream
+            await self._changed.wait()
+
+    def settle(self, request_id: int | str | None) -> None:
+        """A request was answered, or never will be: its id is free."""
+        if request_id is None:
+            return
+        with self._lock:
+            lane = self._ids.pop(_key(request_id), None)
+            if lane is not None:
+                self._at_work[lane] -= 1
+        self._changed.set()
 
     async def aclose(self) -> None:
-        """As the SDK's own stream."""
-        await self._stream.aclose()
+        """Take no more messages."""
+        self._has_ended = True
+        self._changed.set()
 
-    def __aiter__(self) -> ReadableMessages:
+    def __aiter__(self) -> MessageReader:
         return self
 
     async def __anext__(self) -> Any:
@@ -151,27 +156,127 @@ class ReadableMessages:
         except EndOfStream:
             raise StopAsyncIteration from None
 
-    async def __aenter__(self) -> ReadableMessages:
+    async def __aenter__(self) -> MessageReader:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.aclose()
+
+    def _next(self) -> Any:
+        """The next message that may be worked on, or None."""
+        with self._lock:
+            for lane, waiting in self._waiting.items():
+                if waiting and self._at_work[lane] < self._most.get(lane, sys.maxsize):
+                    message, size = waiting.popleft()
+                    self._waiting_bytes -= size
+                    if _is_request(message):
+                        self._at_work[lane] += 1
+                    return message
+        return None
+
+    def _read(self) -> None:
+        buffer, too_long = bytearray(), False
+        try:
+            while chunk := os.read(self._descriptor, _CHUNK):
+                buffer += chunk
+                *lines, rest = buffer.split(b"\n")
+                for line in lines:
+                    if not too_long and line.strip():
+                        self._take(bytes(line))
+                    too_long = False
+                buffer = bytearray(rest)
+                if len(buffer) > MAX_LINE_BYTES:
+                    if not too_long:
+                        self._refuse_length()
+                    too_long = True
+                    buffer.clear()
+                if lines:
+                    self._wake()
+        except OSError as error:
+            sys.stderr.write(f"Reading from the client failed: {error}\n")
+        finally:
+            self._has_ended = True
+            self._wake()
+
+    def _refuse_length(self) -> None:
+        self._answer(EnvelopeError(INVALID_REQUEST, f"A line is longer than {MAX_LINE_BYTES} bytes.").answer)
+
+    def _take(self, line: bytes) -> None:
+        """Put a message in its lane, or answer that it is none or one too many."""
+        if len(line) > MAX_LINE_BYTES:
+            self._refuse_length()
+            return
+        try:
+            message = read_message(line)
+            with self._lock:
+                self._add(message, len(line))
+        except EnvelopeError as error:
+            self._answer(error.answer)
+
+    def _add(self, message: Any, size: int) -> None:
+        method, params = getattr(message, "method", ""), getattr(message, "params", None)
+        lane = _URGENT if is_urgent(method, params) else _PING if method == "ping" else _OTHER
+        if method == "notifications/cancelled":
+            self._drop((params or {}).get("requestId"))
+        if _is_request(message):
+            key = _key(message.id)
+            if key in self._ids:
+                raise repeated(message.id)
+            if len(self._waiting[lane]) >= _MOST_WAITING or self._waiting_bytes + size > _MOST_WAITING_BYTES:
+                raise EnvelopeError(BUSY, "Too many requests wait for their turn.", message.id)
+            self._ids[key] = lane
+        self._waiting[lane].append((message, size))
+        self._waiting_bytes += size
+
+    def _drop(self, request_id: Any) -> None:
+        """A request that still waits is cancelled: it will not be worked on, nor answered."""
+        if not isinstance(request_id, int | str) or self._ids.get(_key(request_id)) is None:
+            return
+        for waiting in self._waiting.values():
+            for entry in waiting:
+                if _is_request(entry[0]) and _key(entry[0].id) == _key(request_id):
+                    waiting.remove(entry)
+                    self._waiting_bytes -= entry[1]
+                    del self._ids[_key(request_id)]
+                    return
+
+    def _wake(self) -> None:
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            with suppress(RuntimeError):  # it was closed since
+                loop.call_soon_threadsafe(self._changed.set)
+
+
+class MessageWriter:
+    """The write stream of a stdio server; tells the reader which requests were answered."""
+
+    def __init__(self, lines: LineWriter, reader: MessageReader) -> None:
+        self._lines = lines
+        self._reader = reader
+
+    async def send(self, item: Any) -> None:
+        """Write one message."""
+        message = item.message
+        self._lines.write(message.model_dump_json(by_alias=True, exclude_unset=True))
+        if not hasattr(message, "method"):
+            self._reader.settle(message.id)
+
+    async def aclose(self) -> None:
+        """The lines are closed by whoever opened them."""
+
+    async def __aenter__(self) -> MessageWriter:
         return self
 
     async def __aexit__(self, *error: object) -> None:
         await self.aclose()
 
 
-def _unreadable(error: Exception) -> str:
-    """The answer to a line that is no message, with its id as far as it has one."""
-    from pydantic import ValidationError  # heavy
+def _is_request(message: Any) -> bool:
+    return hasattr(message, "method") and hasattr(message, "id")
 
-    found: object = None
-    is_json = True
-    if isinstance(error, ValidationError):
-        for entry in error.errors(include_url=False):
-            is_json = is_json and entry["type"] != "json_invalid"
-            whole = entry["input"]  # where a field is missing or unknown, the whole message
-            if entry["type"] == "missing" and len(entry["loc"]) == 2 and isinstance(whole, dict):
-                found = whole.get("id", found)
-    answer = {"code": -32600, "message": "This is no JSON-RPC request."}
-    if not is_json:
-        answer = {"code": -32700, "message": "This is no JSON."}
-    known = found if isinstance(found, int | str) and not isinstance(found, bool) else None
-    return json.dumps({"jsonrpc": "2.0", "id": known, "error": answer})
+
+def _key(request_id: int | str) -> int | str:
+    """The SDK takes "7" and 7 for one id."""
+    from mcp.shared.dispatcher import coerce_request_id
+
+    return coerce_request_id(request_id)

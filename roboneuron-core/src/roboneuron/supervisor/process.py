@@ -17,6 +17,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from roboneuron.log_files import escaped, make_log_directory, opener
 from roboneuron.supervisor.logs import read_tail
 from roboneuron.supervisor.observing import ProcessObservers
 
@@ -56,8 +57,8 @@ class ModuleProcess:
 
     def note(self, line: str) -> None:
         """Add a line to its log, so that it stands among its last ones."""
-        with suppress(OSError), self.log_path.open("a", encoding="utf-8") as log_file:
-            log_file.write(f"{line}\n")
+        with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
+            file.write(f"{escaped(line)}\n")
 
     def show(self) -> None:
         """Let observers look at it while it lives."""
@@ -141,8 +142,8 @@ class Spawner:
         self, name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
     ) -> ModuleProcess:
         self._observers.spawning()
-        log_path.parent.mkdir(parents=True, exist_ok=True)
-        with log_path.open("ab") as output:
+        make_log_directory(log_path.parent)
+        with open(log_path, "ab", opener=opener) as output:
             offset = output.tell()
             child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it
                 list(command),

@@ -16,6 +16,7 @@ from roboneuron.interfaces import load_interface
 from roboneuron.server.direct.endpoints import Exposed, check_stop
 from roboneuron.server.direct.found import limit
 from roboneuron.server.direct.naming import to_label
+from roboneuron.server.direct.topic_limits import check_reserved
 from roboneuron.server.direct.traffic import Traffic
 
 log = logging.getLogger(__name__)
@@ -108,7 +109,11 @@ class LiveGraph:
                 robot=robot, namespace=namespace, label=label, endpoint=endpoint,
                 interface=load_interface(type_name), profile=self._profile(robot),
             )  # fmt: skip
-            exposed = limit(bare, entry, self._known())
+            known = self._known()
+            check_reserved(
+                bare, {self._config.namespace: self._config.robot.name, **{e.namespace: e.robot for e in known}}
+            )
+            exposed = limit(bare, entry, known)
             check_stop(exposed)
         except RoboNeuronError as error:
             if (kind, name) not in self._refused:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from roboneuron.config import Config, ExposeConfig
+from roboneuron.config import Config, DiscoverConfig, ExposeConfig
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import AllowedEndpoint, ConfiguredLimits, check_endpoint, tighten
@@ -15,6 +15,15 @@ from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.interfaces import Interface, MessageInterface, load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
+from roboneuron.server.direct.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
+from roboneuron.server.direct.topic_limits import (
+    check_reserved,
+    limits_of,
+    not_looser,
+    pattern_limits,
+    same_for_each_topic,
+    tightened_by,
+)
 
 _VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
@@ -68,6 +77,7 @@ class Exposed:
             profile=self.profile,
             clamp=self.clamp,
             nonfinite=self.nonfinite,
+            topic=self.topic,
         )
 
     def stop_message(self, now_ns: int) -> Any:
@@ -85,27 +95,6 @@ class Exposed:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ParameterNode:
-    """A node whose parameters agents may see and set.
-
-    Attributes:
-        robot: whose it is.
-        name: what agents call it.
-        node: absolute name.
-        bounds: lowest and highest value by parameter.
-        moves: setting them may move the robot.
-        rate_hz: most settings per second; 0 for no bound.
-    """
-
-    robot: str
-    name: str
-    node: str
-    bounds: dict[str, tuple[float, float]]
-    moves: bool
-    rate_hz: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Exposure:
     """Everything that the configuration exposes."""
 
@@ -120,8 +109,13 @@ class _Robot:
     profile: RobotProfile | None
 
 
-def exposure(config: Config, registry: Registry) -> Exposure:
+def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] = ()) -> Exposure:
     """Collect what the robot's profile and the configuration expose.
+
+    Args:
+        config: its `expose`.
+        registry: where profiles are found.
+        added: entries of run time, which can only tighten what the others say about a topic.
 
     Raises:
         ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or comes twice.
@@ -133,7 +127,10 @@ def exposure(config: Config, registry: Registry) -> Exposure:
         if name not in robots:
             own = config.namespace if name == config.robot.name else name.replace("-", "_")
             profile = load_profile(registry, name) if name in registry.specs("robot") else None
-            robots[name] = _Robot(name=name, namespace=namespace or own, profile=profile)
+            space = namespace or own
+            if any(robot.namespace == space for robot in robots.values()):
+                raise ConfigurationError(f"Robot {name!r} cannot have the namespace {space!r}: another robot has it.")
+            robots[name] = _Robot(name=name, namespace=space, profile=profile)
         found = robots[name]
         if namespace is not None and namespace != found.namespace:
             raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
@@ -141,19 +138,36 @@ def exposure(config: Config, registry: Registry) -> Exposure:
 
     drafts: dict[tuple[str, str, str], Exposed] = {}
     nodes: list[ParameterNode] = []
+    earlier: list[Exposed] = []
+    """All that was said about topics before, also under a name that was given to another one since."""
+
+    def take(entry: ExposeConfig, patterns: Iterable[DiscoverConfig]) -> None:
+        robot = find(entry.robot or config.robot.name, entry.namespace)
+        if entry.kind == "parameters":
+            nodes.append(parameter_node(entry, robot.name, robot.namespace))
+        elif entry.name is None:
+            drafts.update((_key(e), e) for e in _whole_profile(entry, robot))
+        else:
+            profiles = [e for known in robots.values() for e in _profile_endpoints(known)]
+            made = _merge(entry, robot, drafts, [*profiles, *earlier], patterns)
+            drafts[_key(made)] = made
+            earlier.append(made)
+
     main = find(config.robot.name, config.namespace)
     if config.direct.profile:
         drafts.update((_key(e), e) for e in _profile_endpoints(main))
     for entry in config.expose:
-        robot = find(entry.robot or config.robot.name, entry.namespace)
-        if entry.kind == "parameters":
-            nodes.append(_node(entry, robot))
-        elif entry.name is None:
-            drafts.update((_key(e), e) for e in _whole_profile(entry, robot))
-        else:
-            made = _merge(entry, robot, drafts)
-            drafts[_key(made)] = made
-    return Exposure(endpoints=tuple(unique(drafts.values())), nodes=tuple(nodes))
+        take(entry, ())
+    configured = list(drafts.values())
+    for entry in added:
+        take(entry, config.discover)
+    namespaces = {robot.namespace: robot.name for robot in robots.values()}
+    profiles = [e for robot in robots.values() for e in _profile_endpoints(robot)]
+    shown = same_for_each_topic(drafts.values(), [*profiles, *earlier])
+    for exposed in shown:
+        check_reserved(exposed, namespaces)
+    made = tuple(unique(not_looser(exposed, configured) for exposed in shown))
+    return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
 def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
@@ -209,8 +223,14 @@ def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
             for e in _profile_endpoints(robot)]  # fmt: skip
 
 
-def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str], Exposed]) -> Exposed:
-    """The endpoint of an entry: limits on one of the profile, or a new one."""
+def _merge(
+    entry: ExposeConfig,
+    robot: _Robot,
+    drafts: dict[tuple[str, str, str], Exposed],
+    known: Sequence[Exposed],
+    patterns: Iterable[DiscoverConfig],
+) -> Exposed:
+    """The endpoint of an entry: limits on one of the profile, or a new one, within what is known about the topic."""
     assert entry.name is not None
     own = [e for e in [*drafts.values(), *_profile_endpoints(robot)] if (e.robot, e.label) == (robot.name, entry.name)]
     base = next(
@@ -245,6 +265,9 @@ def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str]
             repeat_hz=base.endpoint.repeat_hz if entry.repeat_hz is None else entry.repeat_hz,
         )
     check_endpoint(bare)
+    topic = bare.topic if bare.topic.startswith("/") else f"/{robot.namespace}/{bare.topic}"
+    held = limits_of(topic, bare.kind, known)
+    bare = pattern_limits(bare if held is None else tightened_by(bare, held), topic, patterns)
     nonfinite = frozenset(entry.nonfinite)
     return Exposed(
         robot=robot.name,
@@ -257,16 +280,6 @@ def _merge(entry: ExposeConfig, robot: _Robot, drafts: dict[tuple[str, str, str]
         nonfinite=nonfinite,
         require_subscriber=entry.require_subscriber,
         moves=entry.moves,
-    )
-
-
-def _node(entry: ExposeConfig, robot: _Robot) -> ParameterNode:
-    if entry.name is None or entry.topic is None:
-        raise ConfigurationError("[[expose]] with kind = 'parameters' needs `name` and `topic` (the node).")
-    node = entry.topic if entry.topic.startswith("/") else f"/{robot.namespace}/{entry.topic}"
-    bounds = {path: (low, high) for path, (low, high) in entry.bounds.items()}
-    return ParameterNode(
-        robot=robot.name, name=entry.name, node=node, bounds=bounds, moves=entry.moves, rate_hz=entry.rate_hz or 0.0
     )
 
 

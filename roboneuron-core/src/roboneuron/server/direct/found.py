@@ -12,9 +12,7 @@ from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.limits import number_fields
 from roboneuron.interfaces import load_interface
 from roboneuron.server.direct.endpoints import Exposed, is_joint_limited, is_velocity
-
-OTHERS = "*"
-"""Stands in `limits` for all numbers of a type that are not named."""
+from roboneuron.server.direct.topic_limits import OTHERS
 
 
 def check_patterns(config: Config) -> None:

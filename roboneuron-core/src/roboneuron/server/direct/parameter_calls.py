@@ -11,9 +11,10 @@ from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.interfaces import Plain, load_interface, load_message
 from roboneuron.server.direct.access import Access
-from roboneuron.server.direct.arguments import check_names, take_choice, take_flag, take_list, take_object, take_text
-from roboneuron.server.direct.endpoints import Exposed, ParameterNode
-from roboneuron.server.direct.parameter_values import TYPE_WORDS, check_bounds, to_plain, to_value
+from roboneuron.server.direct.arguments import check_names, take_choice, take_flag, take_list, take_object
+from roboneuron.server.direct.endpoints import Exposed
+from roboneuron.server.direct.parameter_nodes import ParameterNode
+from roboneuron.server.direct.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
 from roboneuron.server.direct.request import gate_request
 from roboneuron.server.direct.service import TIMEOUT, await_service, call_service
 from roboneuron.server.tool import Answer, CallContext
@@ -63,14 +64,14 @@ class ParameterDesk:
         response = await self._ask(
             context, node, "list_parameters", ListParameters, ListParameters.Request(), arguments
         )
-        return Answer(structured={"node": node.name, "names": sorted(response.result.names)})
+        return Answer(structured={"node": node.name, "names": sorted(node.names & {*response.result.names})})
 
     async def describe(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
         """Descriptors."""
         from rcl_interfaces.srv import DescribeParameters  # heavy
 
         node = self._read("describe_parameters", arguments, ["node", "names", "timeout_s"], context)
-        names = _names(arguments)
+        names = _names(node, arguments)
         request = DescribeParameters.Request(names=names)
         response = await self._ask(context, node, "describe_parameters", DescribeParameters, request, arguments)
         part = load_message("rcl_interfaces/msg/ParameterDescriptor")
@@ -83,7 +84,7 @@ class ParameterDesk:
     async def get(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
         """Values."""
         node = self._read("get_parameters", arguments, ["node", "names", "timeout_s"], context)
-        names = _names(arguments)
+        names = _names(node, arguments)
         values = await self._values(context, node, names, arguments)
         return Answer(structured={"node": node.name, "parameters": {n: v for n, (_, v) in values.items()}})
 
@@ -162,6 +163,8 @@ class ParameterDesk:
         return await context.run(work, on_cancel=halt.set)
 
 
-def _names(arguments: Mapping[str, Any]) -> Sequence[str]:
+def _names(node: ParameterNode, arguments: Mapping[str, Any]) -> Sequence[str]:
     names = take_list(arguments, "names", MOST)
-    return [take_text({"names": name}, "names") for name in names]
+    for name in names:
+        check_exposed(node, name)
+    return names

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from roboneuron.errors import InvalidInputError, RefusedError
+from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.interfaces import Plain, load_message
 from roboneuron.interfaces.refusal import describe_value
 from roboneuron.server.direct.arguments import take_text
-from roboneuron.server.direct.endpoints import ParameterNode
+from roboneuron.server.direct.parameter_nodes import ParameterNode, check_parameter_name
 
 _FIELDS = {
     1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",
@@ -19,9 +19,26 @@ TYPE_WORDS = ("not set", "bool", "integer", "double", "string", "byte[]", "bool[
 """What types of parameters are called."""
 
 
+def check_exposed(node: ParameterNode, name: Any) -> None:
+    """Raise unless agents may use this parameter of the node.
+
+    Raises:
+        InvalidInputError: this cannot be a parameter's name.
+        RefusedError: it is not exposed.
+    """
+    text = take_text({"parameters": name}, "parameters")
+    try:
+        check_parameter_name(text)
+    except ConfigurationError as error:
+        raise InvalidInputError(error.message, path="parameters") from error
+    if text not in node.names:
+        listed = ", ".join(sorted(node.names)[:20])
+        raise RefusedError(f"{text!r} of {node.node} is not exposed.", hint=f"Exposed are: {listed}.")
+
+
 def check_bounds(node: ParameterNode, name: str, value: Any) -> None:
-    """Raise InvalidInputError for what no parameter can hold, RefusedError for a number out of the node's bounds."""
-    take_text({"parameters": name}, "parameters")
+    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not exposed or out of bounds."""
+    check_exposed(node, name)
     if not isinstance(value, bool | int | float | str | list):
         raise InvalidInputError(f"Parameter {name!r} is {describe_value(value)}, expected a value or a list of values.")
     if name not in node.bounds:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import Schema, choice, object_schema
-from roboneuron.server.direct.endpoints import ParameterNode
 from roboneuron.server.direct.parameter_calls import MOST, ParameterDesk
+from roboneuron.server.direct.parameter_nodes import ParameterNode
 from roboneuron.server.direct.service import TIMEOUT
 from roboneuron.server.tool import DerivedTool
 
@@ -49,7 +49,7 @@ def parameter_tools(nodes: Sequence[ParameterNode], access: Access) -> list[Deri
     wait = {"timeout_s": TIMEOUT.schema()}
     return [
         DerivedTool(
-            name="list_parameters", title="List parameters", description="Names of all parameters of an exposed node.",
+            name="list_parameters", title="List parameters", description="Names of the exposed parameters of a node.",
             input_schema=object_schema({"node": text, **wait}, ["node"]), output_schema=listed,
             handler=desk.list, read_only=True, idempotent=True,
         ),

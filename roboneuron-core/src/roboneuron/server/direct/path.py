@@ -71,6 +71,7 @@ class DirectPath:
         self._admin = threading.Lock()
         self._added: tuple[ExposeConfig, ...] = ()
         self._hidden: frozenset[Use] = frozenset()
+        self._withdrawn: frozenset[tuple[str, str]] = frozenset()
         self._named: tuple[Exposed, ...] = ()
         self._found: tuple[Exposed, ...] = ()
         self._all: dict[str, DerivedTool] = {}
@@ -177,8 +178,8 @@ class DirectPath:
 
     def _configured(self) -> Exposure:
         config: Config = self._loop.config
-        config = config.model_copy(update={"expose": (*config.expose, *self._added)})
-        made = exposure(config, self._loop.plugins.current())
+        made = exposure(config, self._loop.plugins.current(), self._added)
+        self._withdrawn = frozenset((e.topic, e.endpoint.kind) for e in made.endpoints if use_of(e) in self._hidden)
         shown = Exposure(
             endpoints=tuple(e for e in made.endpoints if use_of(e) not in self._hidden),
             nodes=tuple(n for n in made.nodes if (n.robot, n.name, "parameters") not in self._hidden),
@@ -191,7 +192,8 @@ class DirectPath:
         with self._lock:
             self._named = configured.endpoints
             known = {*map(use_of, configured.endpoints), *self._hidden}
-            used = {(e.topic, e.endpoint.kind) for e in configured.endpoints}  # a pattern is no way around their limits
+            # A pattern is no way around their limits, nor around an admin who withdrew a topic.
+            used = {*self._withdrawn, *((e.topic, e.endpoint.kind) for e in configured.endpoints)}
             new = [e for e in self._found if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)

@@ -1,0 +1,55 @@
+"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an entry of its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+from pathlib import Path
+
+FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
+_RAW = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+"""Control characters but tab and newline, and what turns or hides text. Source: Unicode, categories Cc and Cf."""
+
+
+def make_log_directory(path: Path) -> None:
+    """Have a directory; what of it is missing is made so that others can neither list nor enter it.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    for folder in reversed([path, *path.parents]):
+        if not folder.exists():
+            folder.mkdir(mode=DIRECTORY_MODE, exist_ok=True)
+
+
+def opener(path: str, flags: int) -> int:
+    """For `open`: a file that is made is not readable by others."""
+    return os.open(path, flags | os.O_CLOEXEC, FILE_MODE)
+
+
+def escaped(text: str) -> str:
+    """The text with control characters as \\x1b and the like; further lines are indented, so that none looks like one
+    of the log's own.
+    """
+    return _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text).replace("\n", "\n    ")
+
+
+class PlainFormatter(logging.Formatter):
+    """FORMAT, `escaped`."""
+
+    def __init__(self) -> None:
+        super().__init__(FORMAT)
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See logging."""
+        return escaped(super().format(record))
+
+
+def begin_logging(level: int | str) -> None:
+    """Log to stderr."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(PlainFormatter())
+    logging.basicConfig(level=level, handlers=[handler])

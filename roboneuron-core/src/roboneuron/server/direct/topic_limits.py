@@ -1,0 +1,156 @@
+"""Limits belong to a topic, not to a name: two names of one topic share every limit. Some topics are never exposed."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from roboneuron.config import DiscoverConfig
+from roboneuron.contract import Endpoint
+from roboneuron.errors import ConfigurationError
+from roboneuron.gate.limits import number_fields
+from roboneuron.interfaces import load_interface
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
+from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES
+
+if TYPE_CHECKING:
+    from roboneuron.server.direct.endpoints import Exposed
+
+OTHERS = "*"
+"""Stands in the limits of a pattern for all numbers of a type that are not named."""
+_SERVICE_OF_A_NODE = re.compile(
+    r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$"
+    r"|/(change_state|get_state|get_available_states|get_available_transitions|get_transition_graph)$"
+)
+"""Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
+_OWN_TOPICS = frozenset({ACTION, JOINT_STATES, EE_POSE})
+"""Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for them."""
+
+
+def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
+    """Return the namespace that a topic or node lies in, of those that are known; empty for none.
+
+    Args:
+        topic: absolute name.
+        robot: the robot it is to be exposed for.
+        namespaces: robot by ROS namespace (without slashes at the ends).
+
+    Raises:
+        ConfigurationError: it is another robot's, whose limits and whose policy would not count.
+    """
+    owner = max((space for space in namespaces if topic.startswith(f"/{space}/")), key=len, default="")
+    if owner and namespaces[owner] != robot:
+        raise ConfigurationError(
+            f"{topic} is of the robot {namespaces[owner]!r}, so it can only be exposed for that robot.",
+            hint=f"Set robot = {namespaces[owner]!r}.",
+        )
+    return owner
+
+
+def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
+    """Raise ConfigurationError unless agents may be given this topic, and through this robot."""
+    topic, kind = exposed.topic, exposed.endpoint.kind
+    owner = check_owner(topic, exposed.robot, namespaces)
+    if kind == "read":
+        return
+    where = f"Endpoint {exposed.label!r}: {topic}"
+    own = bool(owner) and topic.removeprefix(f"/{owner}/") in _OWN_TOPICS
+    if topic.rpartition("/")[2] == EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
+        raise ConfigurationError(
+            f"{where} is written by RoboNeuron alone and cannot be exposed for kind = {kind!r}.",
+            hint="Agents stop the robot with emergency_stop and move an arm with move_ee.",
+        )
+    if kind == "service" and _SERVICE_OF_A_NODE.search(topic):
+        raise ConfigurationError(
+            f"{where} is a parameter or lifecycle service and cannot be exposed as such.",
+            hint="Use kind = 'parameters', which names the parameters.",
+        )
+
+
+def limits_of(topic: str, kind: str, sources: Iterable[Exposed]) -> Endpoint | None:
+    """What holds for a topic: the tightest of every limit in `sources`; None when none is about that topic.
+
+    Raises:
+        ConfigurationError: two of them leave nothing, or are of different types.
+    """
+    made: Endpoint | None = None
+    for source in sources:
+        if (source.topic, source.endpoint.kind) == (topic, kind):
+            made = source.endpoint if made is None else tightened_by(made, source.endpoint)
+    return made
+
+
+def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
+    """The endpoint with the limits of another name of the same topic as well.
+
+    Raises:
+        ConfigurationError: together they allow nothing, or the types differ.
+    """
+    where = f"Endpoints {other.name!r} and {endpoint.name!r} are both {endpoint.topic!r}"
+    if endpoint.type != other.type:
+        raise ConfigurationError(f"{where}, but of {other.type} and {endpoint.type}.")
+    bounds = dict(endpoint.bounds)
+    for path, (low, high) in other.bounds.items():
+        lowest, highest = bounds.get(path, (-math.inf, math.inf))
+        bounds[path] = (max(low, lowest), min(high, highest))
+        if bounds[path][0] > bounds[path][1]:
+            raise ConfigurationError(f"{where}; no value of {path} is within the bounds of both.")
+    rates = [rate for rate in (endpoint.rate_hz, other.rate_hz) if rate]
+    return replace(
+        endpoint,
+        bounds=bounds,
+        rate_hz=min(rates, default=0.0),
+        joint_limited=endpoint.joint_limited or other.joint_limited,
+        min_turning_radius_m=max(endpoint.min_turning_radius_m, other.min_turning_radius_m),
+        stop_message=endpoint.stop_message or other.stop_message,
+    )
+
+
+def same_for_each_topic(drafts: Iterable[Exposed], sources: Sequence[Exposed]) -> list[Exposed]:
+    """Every name of a topic with the limits of all of them.
+
+    Args:
+        drafts: what is exposed; it moves the robot if one of its names does, and takes only what all may hold.
+        sources: more that limits topics, exposed or not.
+    """
+    listed = list(drafts)
+    made = []
+    for draft in listed:
+        names = [e for e in listed if (e.topic, e.endpoint.kind) == (draft.topic, draft.endpoint.kind)]
+        limits = limits_of(draft.topic, draft.endpoint.kind, [*names, *sources])
+        nonfinite = frozenset.intersection(*(e.nonfinite for e in names))
+        made.append(
+            replace(
+                draft,
+                endpoint=draft.endpoint if limits is None else tightened_by(draft.endpoint, limits),
+                moves=any(e.moves for e in names),
+                nonfinite=nonfinite,
+                interface=load_interface(draft.endpoint.type, nonfinite=nonfinite),
+            )
+        )
+    return made
+
+
+def not_looser(exposed: Exposed, before: Iterable[Exposed]) -> Exposed:
+    """What run time adds to a topic of the configuration moves as it did, and may hold no more than it did."""
+    use = exposed.topic, exposed.endpoint.kind
+    same = [e for e in before if (e.topic, e.endpoint.kind) == use]
+    return same_for_each_topic([exposed, *same], ())[0] if same else exposed
+
+
+def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
+    """The endpoint with what patterns of the configuration say about numbers of its type on topics like this one."""
+    for entry in patterns:
+        own = entry.limits.get(endpoint.type, {})
+        if not own or endpoint.kind not in entry.kinds or not fnmatch.fnmatchcase(topic, entry.pattern):
+            continue
+        spans = {path: (low, high) for path, (low, high) in own.items() if path != OTHERS}
+        if OTHERS in own:
+            low, high = own[OTHERS]
+            spans |= {path: (low, high) for path in number_fields(endpoint) if path not in spans}
+        endpoint = tightened_by(endpoint, replace(endpoint, bounds=spans, rate_hz=entry.rate_hz or 0.0))
+    return endpoint
