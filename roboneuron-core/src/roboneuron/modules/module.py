@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import Bool, Empty
 
@@ -83,6 +84,10 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
+
+    def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
+        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the clock is set back."""
+        return super().create_timer(period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options)
 
     def create_lifecycle_publisher(self, message_type: type, topic: str, *arguments: Any, **options: Any) -> Any:
         """As of LifecycleNode; the status tells how many listeners it has found, as `listeners.<topic>`."""
