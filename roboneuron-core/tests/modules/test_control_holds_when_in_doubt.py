@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -197,3 +198,16 @@ def test_commands_can_be_joint_states(world: Any, wait_until: Callable[..., bool
     cell.actions.publish(to_action_message(FORWARD))
     assert wait_until(lambda: len(received) >= 1)  # a hold follows
     assert list(received[0].position) == pytest.approx([0.51, -0.5])
+
+
+def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., bool]
+) -> None:
+    """Between two commands nobody but control could end the motion."""
+    controller = cell.control.module._controller
+    compute = controller.compute
+    monkeypatch.setattr(controller, "compute", lambda *a: replace(compute(*a), duration_s=2.5))
+    cell.actions.publish(to_action_message(FORWARD))
+    assert wait_until(lambda: cell.dropped("long_command") == 1)
+    assert cell.value("hold_code") == "long_command"
+    assert not cell.commands
