@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.modules.settings import ModuleKind
@@ -44,7 +44,7 @@ class Guard:
         self._memory = MemoryWatch(loop.supervisor, self._note_memory)
         loop.on_stop = self.restarts.cancel
         listeners = (self._tell, self._record, self.restarts.on_health, self._diagnose)
-        self._watch = Watch(loop.supervisor.views, listeners)
+        self._watch = Watch(self._look, listeners)
 
     def start(self) -> None:
         """Begin to watch."""
@@ -56,6 +56,16 @@ class Guard:
         self.restarts.close()
         self._memory.close()
         self._watch.close()
+
+    def _look(self) -> Sequence[ModuleView]:
+        """The modules; and what no change of their health would show."""
+        if restored := self._loop.emergency_stop.take_restored():
+            what = (
+                "its file vanished without a reset and was written again; everything stays stopped"
+            )
+            self.incidents.record("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
+            self._notify(STATUS_URI)
+        return self._loop.supervisor.views()
 
     def _tell(self, view: ModuleView, before: Health, health: Health) -> None:
         self._notify(STATUS_URI)
