@@ -24,6 +24,7 @@ from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of
+from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.guard import Guard
@@ -64,8 +65,12 @@ CHANGES = NotificationOptions(tools_changed=True)
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
-    def __init__(self, request: ServerRequestContext[Any, Any]) -> None:
+    def __init__(
+        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, questions: Questions
+    ) -> None:
         self._request = request
+        self._params = params
+        self._questions = questions
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
@@ -80,6 +85,10 @@ class RequestContext:
         """See `CallContext.run`."""
         with watching(self._request.request, on_leave):
             return await self._run(work, on_cancel)
+
+    async def ask(self, question: str) -> bool | None:
+        """See `CallContext.ask`."""
+        return await self._questions.ask(self._request, self._params, question)
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
@@ -150,6 +159,7 @@ class Application:
             ready=self._join_ros,
         )
         self.direct.fill(self.tools)
+        self._questions = Questions()
         self.resources = Resources(self.loop, self._started_s)
         self.server = self._build(config.server.name)
 
@@ -206,8 +216,12 @@ class Application:
 
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
-        ) -> types.CallToolResult:
-            return await self.tools.call(params.name, params.arguments or {}, RequestContext(context))
+        ) -> types.CallToolResult | types.InputRequiredResult:
+            try:
+                made = RequestContext(context, params, self._questions)
+                return await self.tools.call(params.name, params.arguments or {}, made)
+            except QuestionError as question:
+                return question.result
 
         async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
             return types.ListResourcesResult(resources=self.resources.listing())

@@ -7,10 +7,12 @@ that are not ours.
 from __future__ import annotations
 
 import logging
+import shlex
 import signal
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -27,6 +29,11 @@ _ROUNDS = 3
 """Of the executor: what was published before the first has been delivered after the last."""
 CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period."""
+
+
+def reset_command(state_directory: Path) -> str:
+    """What a person types to release the stop."""
+    return f"roboneuron estop --reset --state {shlex.quote(str(state_directory))}"
 
 
 class EmergencyStop:

@@ -60,9 +60,7 @@ class Guard:
     def _look(self) -> Sequence[ModuleView]:
         """The modules; and what no change of their health would show."""
         if restored := self._loop.emergency_stop.take_restored():
-            what = (
-                "its file vanished without a reset and was written again; everything stays stopped"
-            )
+            what = "its file vanished without a reset and was written again; everything stays stopped"
             self.incidents.record("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
             self._notify(STATUS_URI)
         return self._loop.supervisor.views()
