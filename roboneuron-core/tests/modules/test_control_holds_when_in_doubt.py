@@ -15,6 +15,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
+from roboneuron.gate.audit import AuditLog
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.ros.messages import to_action_message, to_joint_state
 from roboneuron.ros.qos import LATCHED, NEWEST
@@ -151,6 +152,13 @@ def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile
     assert "topic" in EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns).read_state().who
 
 
+def reset(cell: Cell) -> None:
+    """As another process does it."""
+    folder = cell.world.state_directory
+    latch = EmergencyStopLatch(folder / FILE_NAME, time.time_ns)
+    latch.reset(who="test", role="admin", audit=AuditLog(folder / "audit.jsonl", time.time_ns))
+
+
 def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     stop = cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED)
     cell.actions.publish(to_action_message(FORWARD))
@@ -164,12 +172,14 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     stop.publish(Bool(data=False))
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without the latch"
     (cell.world.state_directory / FILE_NAME).unlink()
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without a reset"
+    reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 3)
 
 
-def test_latch_file_stops_without_any_message_and_for_as_long_as_it_exists(cell: Cell) -> None:
+def test_latch_file_stops_without_any_message_until_it_is_reset(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 1)
     latch = cell.world.state_directory / FILE_NAME
@@ -178,7 +188,7 @@ def test_latch_file_stops_without_any_message_and_for_as_long_as_it_exists(cell:
     assert cell.wait_until(lambda: len(cell.commands) == 2)
     cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=False))
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2)
-    latch.unlink()
+    reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     assert len(cell.commands) == 2
 

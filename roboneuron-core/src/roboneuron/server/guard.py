@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.modules.settings import ModuleKind
+from roboneuron.modules.settings import FOREIGN_REQUEST, ModuleKind
 from roboneuron.server.incidents import FOLDER, Incidents
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.resources import STATUS_URI
@@ -43,6 +43,7 @@ class Guard:
         self.restarts = Restarts(loop.supervisor, self._note_restart)
         self._memory = MemoryWatch(loop.supervisor, self._note_memory)
         loop.on_stop = self.restarts.cancel
+        self._foreign: dict[ModuleKind, int] = {}
         listeners = (self._tell, self._record, self.restarts.on_health, self._diagnose)
         self._watch = Watch(self._look, listeners)
 
@@ -63,7 +64,14 @@ class Guard:
             what = "its file vanished without a reset and was written again; everything stays stopped"
             self.incidents.record("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
             self._notify(STATUS_URI)
-        return self._loop.supervisor.views()
+        views = self._loop.supervisor.views()
+        for view in views:
+            count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
+            if count > self._foreign.get(view.kind, 0) and view.report is not None:
+                told = {"explanation": view.report.metrics.get(FOREIGN_REQUEST, ""), "count": count}
+                self.incidents.record(view.kind, FOREIGN_REQUEST, told)
+            self._foreign[view.kind] = count
+        return views
 
     def _tell(self, view: ModuleView, before: Health, health: Health) -> None:
         self._notify(STATUS_URI)

@@ -201,7 +201,8 @@ class WarmSwitch:
     def _client(self, slot: Slot) -> ParameterClient:
         assert slot.choice is not None
         node = f"/{slot.choice.settings.status_name}"
-        return ParameterClient(self._supervisor.link, self._supervisor.changes, node)
+        assert slot.process is not None
+        return ParameterClient(self._supervisor.link, self._supervisor.changes, node, slot.process.announce)
 
 
 def _listeners(report: Report | None) -> dict[str, int]:
