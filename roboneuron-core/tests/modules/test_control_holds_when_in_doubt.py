@@ -149,7 +149,8 @@ def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile
     assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Bool(data=True))
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
-    assert "topic" in EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns).read_state().who
+    latch = EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns)
+    assert cell.wait_until(lambda: "topic" in latch.read_state().who), "it stops first, and writes then"
 
 
 def reset(cell: Cell) -> None:
