@@ -186,6 +186,7 @@ def run_estop(state: Path, typed: str | None) -> subprocess.CompletedProcess[str
         ("y\n", 0, "Released.", False),
         ("\n", 1, "It stays latched.", True),
         ("n\n", 1, "It stays latched.", True),
+        ("\x04", 1, "It stays latched.", True),
         (None, 1, "in a terminal", True),
     ],
 )

@@ -76,7 +76,11 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         )
     print(f"Latched{f' by {state.who}: {state.reason}' if state.who else ''} ({latch.path}).")
     print("Look at the robot. A policy that still has an instruction goes on with it.")
-    if input("Release the emergency stop? [y/N] ").strip().lower() not in ("y", "yes"):
+    try:
+        answer = input("Release the emergency stop? [y/N] ")
+    except EOFError:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
         print("It stays latched.")
         return 1
     latch.reset(who=who, role=ADMIN, audit=audit)
