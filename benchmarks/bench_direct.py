@@ -128,7 +128,8 @@ class Listener:
 
 def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
     """A robot that no plugin knows, with that many endpoints."""
-    lines = ["[robot]", 'name = "bench"', "[supervisor]", f'state_directory = "{folder / "state"}"']
+    lines = ["[robot]", 'name = "bench"', "[server]", 'reset_emergency_stop = "client"']
+    lines += ["[supervisor]", f'state_directory = "{folder / "state"}"']
     twist = 'kind = "publish"\ntype = "geometry_msgs/msg/Twist"'
     stop = 'stop_message = "zero"\nrepeat_hz = 20.0' if repeat else 'stop_message = ""'
     for index in range(endpoints):

@@ -32,7 +32,6 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell, quiet
 
-from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.selection import InferenceRequest
@@ -78,7 +77,6 @@ class Bench:
             )
         )
         self._publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
-        self.latch = EmergencyStopLatch(loop.supervisor.state_directory / FILE_NAME, time.time_ns)
         self.watch = Watch(loop.supervisor.views, [self._on_health])
         self.watch.start()
 
@@ -205,7 +203,7 @@ class Bench:
             stop.reset(namespace, who="bench", role="admin")
 
         self.press("by file and topic", lambda: stop.latch(namespace, who="bench", reason="trial"), release)
-        self.press("by the file alone", lambda: self.latch.latch(who="bench", reason="trial"), release)
+        self.press("by the file alone", lambda: stop.file.latch(who="bench", reason="trial"), release)
         self.press("by the topic alone", lambda: self._publish(Bool(data=True)), release)
 
 

@@ -189,7 +189,7 @@ def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Itera
     supervisor = "unresponsive_s = 1.5\nrestart_limit = 100"
     text = config_text(folder, rate_hz, backend="steady", camera=camera, supervisor=supervisor)
     path = folder / "roboneuron.toml"
-    path.write_text(text)
+    path.write_text(text + '[server]\nreset_emergency_stop = "client"\n')
     for part in PARTS:
         fail(folder, part, "")
     with environment(folder):

@@ -39,6 +39,7 @@ SERVER = """
 transport = "http"
 port = {port}
 lease_s = {lease_s}
+reset_emergency_stop = "client"
 [[server.tokens]]
 name = "ann"
 role = "admin"

@@ -26,6 +26,8 @@ from roboneuron.testing.fakes import fake_registry
 EXPOSED = """
 [robot]
 name = "rover"
+[server]
+reset_emergency_stop = "client"
 [direct]
 max_duration_s = 20
 listed_tools = 40

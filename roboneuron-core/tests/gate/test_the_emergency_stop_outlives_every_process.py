@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -126,3 +129,133 @@ def test_pressing_waits_for_no_disk(latch, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(os, "fsync", lambda descriptor: pytest.fail("the disk was waited for"))
     latch.press(who="a", reason="b")
     assert json.loads(latch.path.read_text())["who"] == "a"
+
+
+def other(latch, clock, **more) -> EmergencyStopLatch:
+    """The latch as another process has it, which has seen that it is set."""
+    found = EmergencyStopLatch(latch.path, clock.wall_ns, **more)
+    assert found.is_latched()
+    return found
+
+
+def remove_file(path: Path) -> None:
+    path.unlink()
+
+
+def remove_directory(path: Path) -> None:
+    shutil.rmtree(path.parent)
+
+
+def move_directory_away(path: Path) -> None:
+    path.parent.rename(path.parent.with_suffix(".old"))
+
+
+def rename_file(path: Path) -> None:
+    path.rename(path.with_suffix(".bak"))
+
+
+def put_a_copy_of_the_directory(path: Path) -> None:
+    """As when a backup is put back: what it holds of an earlier reset is not a reset."""
+    copy = path.parent.with_suffix(".copy")
+    shutil.copytree(path.parent, copy)
+    shutil.rmtree(path.parent)
+    (copy / path.name).rename(copy / f"{path.name}.reset")
+    copy.rename(path.parent)
+
+
+@pytest.mark.parametrize(
+    "remove", [remove_file, remove_directory, move_directory_away, rename_file, put_a_copy_of_the_directory]
+)
+@pytest.mark.parametrize("had_a_reset", [False, True])
+def test_a_file_that_vanishes_without_a_reset_is_written_again(
+    latch, clock, audit, remove: Callable[[Path], None], had_a_reset: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    if had_a_reset:
+        latch.latch(who="earlier", reason="")
+        latch.reset(who="c", role="admin", audit=audit)
+    latch.latch(who="a", reason="b")
+    watching = other(latch, clock)
+    for times in (1, 2):
+        remove(latch.path)
+        assert latch.is_latched()
+        assert watching.is_latched()
+        assert latch.path.exists()
+        assert (watching.read_state().who, watching.read_state().restored) == ("a", times)
+        assert "vanished without a reset" in caplog.text
+        assert other(latch, clock).read_state().restored == times, "a new process learns it from the file"
+        shutil.rmtree(latch.path.parent.with_suffix(".old"), ignore_errors=True)
+    latch.reset(who="c", role="admin", audit=audit)
+    assert not latch.is_latched()
+    assert not watching.is_latched()
+    assert not latch.path.exists()
+
+
+@pytest.mark.parametrize("make", [Path.touch, lambda path: path.symlink_to("nowhere")], ids=["touch", "dangling-link"])
+def test_a_file_made_by_hand_holds_and_is_reset_like_any_other(latch, clock, audit, make) -> None:
+    latch.path.parent.mkdir()
+    make(latch.path)
+    watching = other(latch, clock)
+    latch.path.unlink()
+    assert watching.is_latched()
+    make(latch.path) if not os.path.lexists(latch.path) else None
+    EmergencyStopLatch(latch.path, clock.wall_ns).reset(who="c", role="admin", audit=audit)
+    assert not watching.is_latched()
+    assert not os.path.lexists(latch.path)
+
+
+def test_a_reset_reaches_who_holds_it_however_often_it_is_pressed_again(latch, clock, audit) -> None:
+    for _ in range(5):
+        latch.latch(who="a", reason="b")
+        watching = other(latch, clock)
+        EmergencyStopLatch(latch.path, clock.wall_ns).reset(who="c", role="admin", audit=audit)
+        assert not watching.is_latched()
+        assert not latch.is_latched()
+
+
+def test_what_cannot_be_written_again_stays_latched_and_is_tried_again(latch, clock, tmp_path, caplog) -> None:
+    now_s = [100.0]
+    latch.latch(who="a", reason="b")
+    watching = other(latch, clock, clock_s=lambda: now_s[0])
+    shutil.rmtree(latch.path.parent)
+    latch.path.parent.write_text("in the way")
+    latch.path.parent.unlink()
+    latch.path.parent.symlink_to("/proc/nowhere/at/all")
+    for _ in range(3):
+        assert watching.is_latched()
+    assert caplog.text.count("cannot be written") == 1
+    with pytest.raises(StateError, match="stays latched"):
+        watching.reset(who="c", role="admin", audit=AuditLog(tmp_path / "audit", clock.wall_ns))
+    assert watching.is_latched()
+    latch.path.parent.unlink()
+    now_s[0] += 2.0
+    assert watching.is_latched()
+    assert json.loads(latch.path.read_text())["who"] == "a"
+
+
+def test_a_reset_by_another_process_races_with_nobody_who_looks(latch, clock, audit) -> None:
+    """Looking all the time while another resets never writes the file again."""
+    end = threading.Event()
+    watching = EmergencyStopLatch(latch.path, clock.wall_ns)
+
+    def look() -> None:
+        while not end.is_set():
+            watching.is_latched()
+
+    threads = [threading.Thread(target=look) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(100):
+            latch.press(who="a", reason="b")
+            while not watching.is_latched():
+                pass
+            latch.reset(who="c", role="admin", audit=audit)
+            deadline_s = time.monotonic() + 5
+            while watching.is_latched() and time.monotonic() < deadline_s:
+                pass
+            assert not watching.is_latched()
+            assert not latch.is_latched()
+    finally:
+        end.set()
+        for thread in threads:
+            thread.join()

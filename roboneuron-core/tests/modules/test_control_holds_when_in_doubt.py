@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
+from roboneuron.gate.audit import AuditLog
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.ros.messages import to_action_message, to_joint_state
 from roboneuron.ros.qos import LATCHED, NEWEST
@@ -147,7 +149,15 @@ def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile
     assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Bool(data=True))
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
-    assert "topic" in EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns).read_state().who
+    latch = EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns)
+    assert cell.wait_until(lambda: "topic" in latch.read_state().who), "it stops first, and writes then"
+
+
+def reset(cell: Cell) -> None:
+    """As another process does it."""
+    folder = cell.world.state_directory
+    latch = EmergencyStopLatch(folder / FILE_NAME, time.time_ns)
+    latch.reset(who="test", role="admin", audit=AuditLog(folder / "audit.jsonl", time.time_ns))
 
 
 def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
@@ -163,12 +173,14 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     stop.publish(Bool(data=False))
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without the latch"
     (cell.world.state_directory / FILE_NAME).unlink()
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without a reset"
+    reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 3)
 
 
-def test_latch_file_stops_without_any_message_and_for_as_long_as_it_exists(cell: Cell) -> None:
+def test_latch_file_stops_without_any_message_until_it_is_reset(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 1)
     latch = cell.world.state_directory / FILE_NAME
@@ -177,7 +189,7 @@ def test_latch_file_stops_without_any_message_and_for_as_long_as_it_exists(cell:
     assert cell.wait_until(lambda: len(cell.commands) == 2)
     cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=False))
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2)
-    latch.unlink()
+    reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     assert len(cell.commands) == 2
 
@@ -197,3 +209,16 @@ def test_commands_can_be_joint_states(world: Any, wait_until: Callable[..., bool
     cell.actions.publish(to_action_message(FORWARD))
     assert wait_until(lambda: len(received) >= 1)  # a hold follows
     assert list(received[0].position) == pytest.approx([0.51, -0.5])
+
+
+def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., bool]
+) -> None:
+    """Between two commands nobody but control could end the motion."""
+    controller = cell.control.module._controller
+    compute = controller.compute
+    monkeypatch.setattr(controller, "compute", lambda *a: replace(compute(*a), duration_s=2.5))
+    cell.actions.publish(to_action_message(FORWARD))
+    assert wait_until(lambda: cell.dropped("long_command") == 1)
+    assert cell.value("hold_code") == "long_command"
+    assert not cell.commands

@@ -126,6 +126,85 @@ def test_emergency_stop_holds_the_driver_and_refuses_commands(
     assert not driver.sent
 
 
+def long_trajectory(points: int, step_s: float) -> JointTrajectory:
+    message = command(0.1, step_s)
+    for index in range(2, points + 1):
+        point = JointTrajectoryPoint(positions=[0.1 * index, 0.0])
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(index * step_s * 1e9), 10**9)
+        message.points.append(point)
+    return message
+
+
+def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_taken_up_again(
+    world: Any, wait_until: Callable[..., bool], status_of: Any
+) -> None:
+    robot = world.start("robot", replace={"command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4"})
+    driver = robot.module._driver
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    publisher.publish(long_trajectory(3, 0.15))
+    assert wait_until(lambda: len(driver.sent) == 3), "a module without a server has no server to wait for"
+    for silences in (1, 2):
+        robot.note_beat()
+        sent, holds = len(driver.sent), driver.holds
+        assert wait_until(lambda: not robot.module._is_server_silent)
+        publisher.publish(long_trajectory(40, 0.1))
+        assert wait_until(lambda holds=holds: driver.holds == holds + 1, 2.0), "held though the trajectory lasts 4 s"
+        played = len(driver.sent)
+        assert sent < played < sent + 20
+        publisher.publish(command(0.9))
+        assert wait_until(lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n)
+        assert not wait_until(lambda played=played: len(driver.sent) > played, 0.3)
+        assert "no sign of life of the server" in status_of(robot)["note"]
+    robot.note_beat()
+    assert wait_until(lambda: not robot.module._is_server_silent)
+    publisher.publish(command(0.5))
+    assert wait_until(lambda: driver.position[0] == 0.5)
+
+
+def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
+    """A mobile base takes its velocities from a topic of its own."""
+    robot = world.start("robot", replace={"command_timeout_s = 0.3": "server_timeout_s = 0.2"})
+    heard: list[bool] = []
+    world.run(lambda: robot.module._topics.subscribe("cmd", Bool, lambda message: heard.append(message.data)))
+    publisher = world.publisher(Bool, "cmd")
+    publisher.publish(Bool(data=True))
+    assert wait_until(lambda: heard == [True])
+    robot.note_beat()
+    assert wait_until(lambda: robot.module._driver.holds == 1)
+    publisher.publish(Bool(data=True))
+    assert not wait_until(lambda: len(heard) > 1, 0.3)
+
+
+@pytest.mark.parametrize("cause", ["stop", "silence"])
+def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
+    world: Any, robot: Any, wait_until: Callable[..., bool], monkeypatch: pytest.MonkeyPatch, cause: str
+) -> None:
+    """The stop comes between taking a command and sending it: its hold reaches the driver before the command."""
+    driver, events = robot.module._driver, []
+    send, hold = driver.send, driver.hold
+
+    def late(command: JointCommand) -> JointCommand:
+        if cause == "stop":
+            robot.stopped = True
+        else:
+            robot.module._is_server_silent = True
+        robot.module._drop_and_hold()
+        events.append("send")
+        return send(command)
+
+    monkeypatch.setattr(driver, "send", late)
+    monkeypatch.setattr(driver, "hold", lambda: (events.append("hold"), hold()))
+    monkeypatch.setattr(robot, "_check_stop", lambda: None)
+    robot.module._watch = lambda: None
+    world.run(lambda: world.executor and robot.destroy_timer(robot.module._timer))
+    robot.module._timer = None
+    world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.5, 5.0))
+    assert wait_until(lambda: "send" in events)
+    assert wait_until(lambda: events[-1] == "hold", 1.0), events
+
+
 def test_deactivation_holds(world: Any, robot: Any) -> None:
     assert world.run(robot.trigger_deactivate) is TransitionCallbackReturn.SUCCESS
     assert robot.module._driver.holds == 1

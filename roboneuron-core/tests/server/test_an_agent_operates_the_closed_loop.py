@@ -66,12 +66,17 @@ class Agent:
         return next(m for m in status["modules"] if m["module"] == kind)
 
 
+async def agree(context: Any, params: types.ElicitRequestParams) -> types.ElicitResult:
+    """A person who releases the emergency stop when the client asks."""
+    return types.ElicitResult(action="accept", content={"confirmed": True})
+
+
 def run_agent(
     command: list[str], environment: dict[str, str], scenario: Callable[[Agent], Awaitable[None]], mode: str = "auto"
 ) -> None:
     async def connect() -> None:
         server = StdioServerParameters(command=command[0], args=command[1:], env=environment)
-        async with Client(server, mode=mode) as client:  # type: ignore[arg-type]
+        async with Client(server, mode=mode, elicitation_callback=agree) as client:  # type: ignore[arg-type]
             await scenario(Agent(client))
 
     anyio.run(connect)

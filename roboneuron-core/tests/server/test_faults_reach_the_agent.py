@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -45,6 +46,17 @@ class Agent:
             return (await self.module(kind))["health"] in words
 
         await self.until(is_so, timeout_s)
+
+
+def release_in_terminal(command: list[str], environment: dict[str, str]) -> None:
+    """What a person does: run the command in a terminal, and say yes."""
+    person, terminal = pty.openpty()
+    try:
+        os.write(person, b"y\n")
+        subprocess.run(command, env=environment, stdin=terminal, check=True, timeout=60)
+    finally:
+        os.close(person)
+        os.close(terminal)
 
 
 def test_faults_are_told_recorded_and_survived(
@@ -119,7 +131,7 @@ def test_faults_are_told_recorded_and_survived(
         assert status["emergency_stop"]
         assert status["emergency_stop_cause"].endswith("at the command line: smoke")
         assert subprocess.run([*estop, "--status"], env=server_environment, capture_output=True).returncode == 1
-        await anyio.run_process([*estop, "--reset"], env=server_environment)
+        await anyio.to_thread.run_sync(release_in_terminal, [*estop, "--reset"], server_environment)
         assert not (await agent.do("get_status"))["emergency_stop"]
 
         for pid in (status["pid"], (await agent.module("robot"))["pid"]):
@@ -131,7 +143,7 @@ def test_faults_are_told_recorded_and_survived(
 
                 await agent.until(is_stopped_too, 2.0)
             assert "SIGUSR1" in (await agent.do("get_status"))["emergency_stop_cause"]
-            await anyio.run_process([*estop, "--reset"], env=server_environment)
+            await anyio.to_thread.run_sync(release_in_terminal, [*estop, "--reset"], server_environment)
 
             async def is_released() -> bool:
                 return not (await agent.do("get_status"))["emergency_stop"]

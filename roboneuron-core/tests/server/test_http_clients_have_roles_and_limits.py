@@ -29,6 +29,7 @@ transport = "http"
 port = {port}
 max_request_bytes = 20000
 max_concurrent_calls = 2
+reset_emergency_stop = "client"
 [[server.tokens]]
 name = "screen"
 role = "viewer"

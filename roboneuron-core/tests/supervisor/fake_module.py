@@ -114,7 +114,7 @@ if fault == "ignores-sigterm":
 node = ModuleNode(settings, FakeModule)
 executor = SingleThreadedExecutor()
 executor.add_node(node)
-watch_stdin(signals.leave)
+watch_stdin(signals.leave, node.note_beat)
 while not signals.is_leaving:
     executor.spin_once()
 node.release()

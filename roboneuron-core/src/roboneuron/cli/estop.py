@@ -1,15 +1,23 @@
 """Stop all motion of every server and module that uses this state directory; works without any of them.
 
-The stop is latched in a file that every module looks at 50 times a second, and that outlives them all. An agent or
-`roboneuron estop --reset` releases it; both are audited.
+The stop is latched in a file that every module looks at 50 times a second, and that outlives them all. A person
+releases it, in a terminal, by `roboneuron estop --reset`; that is audited.
 """
 
 from __future__ import annotations
 
 import getpass
+import sys
 import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from roboneuron.gate.audit import AuditLog
+    from roboneuron.gate.estop import EmergencyStopLatch
+
+_AGAIN_S = 0.1
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -28,7 +36,6 @@ def run(arguments: Namespace) -> int:
     from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
     from roboneuron.gate.audit import AuditLog, AuditRecord
     from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-    from roboneuron.gate.request import ADMIN
     from roboneuron.ros.environment import state_directory
 
     configured = load_config(arguments.config).supervisor.state_directory if arguments.config else None
@@ -42,10 +49,44 @@ def run(arguments: Namespace) -> int:
         print(f"The emergency stop is {f'latched{cause}' if state.latched else 'not latched'} ({latch.path}).")
         return int(state.latched)
     if arguments.reset:
-        latch.reset(who=who, role=ADMIN, audit=audit)
-        print(f"Released: {latch.path} is gone. A backend that still has an instruction goes on with it.")
-        return 0
+        return _reset(latch, audit, who)
     latch.latch(who=who, reason=arguments.reason)
     print(f"Emergency stop latched: {latch.path}")
     audit.write(AuditRecord(who=who, role="", tool="estop", verdict="latched", reason=arguments.reason))
+    return 0
+
+
+def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
+    """Ask the person at the terminal, then release.
+
+    Raises:
+        RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be written.
+    """
+    from roboneuron.errors import RefusedError
+    from roboneuron.gate.request import ADMIN
+
+    state = latch.read_state()
+    if not state.latched:
+        print(f"The emergency stop is not latched ({latch.path}).")
+        return 0
+    if not sys.stdin.isatty():
+        raise RefusedError(
+            "The emergency stop is released by a person in a terminal, and this is none.",
+            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+        )
+    print(f"Latched{f' by {state.who}: {state.reason}' if state.who else ''} ({latch.path}).")
+    print("Look at the robot. A policy that still has an instruction goes on with it.")
+    try:
+        answer = input("Release the emergency stop? [y/N] ")
+    except EOFError:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
+        print("It stays latched.")
+        return 1
+    latch.reset(who=who, role=ADMIN, audit=audit)
+    time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
+    if latch.is_latched():
+        print(f"It was latched again at once by {latch.read_state().who or 'somebody'}.", file=sys.stderr)
+        return 1
+    print("Released.")
     return 0

@@ -20,6 +20,7 @@ class RobotConfig(Section):
     driver: Name = Field(default="simulated", description="one of the robot's drivers")
     namespace: Namespace | None = Field(default=None, description="ROS namespace; the robot's name when not given")
     command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
+    server_timeout_s: Seconds = Field(default=2.0, description="the driver holds when the server is frozen this long")
     restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move again")
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
     start_timeout_s: Seconds | None = Field(

@@ -40,6 +40,10 @@ class ServerConfig(Section):
     max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
         default=64, description="most tool calls at once of each role; stops are always taken"
     )
+    reset_emergency_stop: Literal["person", "client"] = Field(
+        default="person",
+        description="who releases the emergency stop: a person, in a terminal or asked by a client; or any admin",
+    )
     tokens: tuple[TokenConfig, ...] = Field(
         default=(), strict=False, description="who may connect over http: tables of `name`, `role`, `variable`, `file`"
     )

@@ -2,15 +2,23 @@
 
 Existence is all that counts, so that checking costs one system call, a damaged file still stops, a person can stop with
 `touch`, and the latch outlives every process. Whatever keeps it from being read counts as latched.
+
+A process that has seen the latch keeps it in memory too. Only a reset ends that: it renames the file instead of
+removing it, so that everybody can tell a file that was reset from one that was deleted, moved or lost with its
+directory. Such a file is written again, and counted.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
+import stat
+import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
@@ -18,32 +26,52 @@ from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import ADMIN, has_role
 from roboneuron.log_files import make_log_directory
 
+log = logging.getLogger(__name__)
 FILE_NAME = "emergency_stop.latched"
 """Name of the latch in the state directory."""
+RESET_SUFFIX = ".reset"
+"""Added to the latch's name by a reset."""
 _MAX_BYTES = 4096
+_AGAIN_S = 1.0
+"""How often a latch that cannot be written is tried again."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LatchState:
-    """Who stopped and why; `time_ns` is wall-clock time [ns], 0 when the file does not tell."""
+    """Who stopped and why.
+
+    Attributes:
+        time_ns: wall-clock time [ns], 0 when the file does not tell.
+        restored: how often the file had vanished without a reset, and was written again.
+    """
 
     latched: bool
     who: str = ""
     reason: str = ""
     time_ns: int = 0
+    restored: int = 0
 
 
 class EmergencyStopLatch:
-    """A latch shared by all processes that use the same file; safe from any thread. Construction touches nothing."""
+    """A latch shared by all processes that use the same file; safe from any thread. Construction touches nothing.
 
-    def __init__(self, path: Path, clock_ns: Callable[[], int]) -> None:
+    Who is to hold whatever happens to the file has to call `is_latched` now and then.
+    """
+
+    def __init__(self, path: Path, clock_ns: Callable[[], int], clock_s: Callable[[], float] = time.monotonic) -> None:
         """Args:
         path: the latch file; its directory is created when the stop is pressed.
         clock_ns: wall-clock time [ns].
+        clock_s: monotonic time [s].
         """
         self.path = path
+        self._reset_path = path.with_name(path.name + RESET_SUFFIX)
         self._clock_ns = clock_ns
-        self._pressed: LatchState | None = None
+        self._clock_s = clock_s
+        self._held: LatchState | None = None
+        self._seen: tuple[int, int] | None = None  # device and inode of the newest file that was seen
+        self._tried_s = -_AGAIN_S
+        self._lock = threading.Lock()
         self._listeners: list[Callable[[], object]] = []
 
     def on_press(self, listener: Callable[[], object]) -> None:
@@ -55,15 +83,42 @@ class EmergencyStopLatch:
 
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
-        if self._pressed is not None:
-            return True
+        with self._lock:
+            return self._look()
+
+    def _look(self) -> bool:
         try:
-            os.stat(self.path)
+            self._seen = _identity(self.path)
         except FileNotFoundError:
-            return False
+            return self._held is not None and not self._was_reset()
         except OSError:
             return True
+        if self._held is None:
+            self._held = self._parse()
         return True
+
+    def _was_reset(self) -> bool:
+        """The file is gone: by a reset, or otherwise, and then it is written again."""
+        with suppress(OSError):
+            if self._seen is not None and _identity(self._reset_path) == self._seen:
+                self._held = self._seen = None
+                return True
+        self._restore()
+        return False
+
+    def _restore(self) -> None:
+        """Write the file again: at once when it has vanished, now and then when it could not be written."""
+        has_vanished, now_s = self._seen is not None, self._clock_s()
+        if self._held is None or (not has_vanished and now_s - self._tried_s < _AGAIN_S):
+            return
+        self._held = replace(self._held, restored=self._held.restored + has_vanished)
+        self._seen, self._tried_s = None, now_s
+        if has_vanished:
+            log.error("The emergency stop's file %s vanished without a reset: written again.", self.path)
+        try:
+            self._create(self._held)
+        except OSError as error:
+            log.error("The emergency stop's file %s cannot be written: %s; latched here.", self.path, error.strerror)
 
     def check(self) -> None:
         """Raise RefusedError while latched."""
@@ -76,15 +131,21 @@ class EmergencyStopLatch:
 
     def read_state(self) -> LatchState:
         """Who latched it and why, as far as the file tells."""
-        if (pressed := self._pressed) is not None:
-            return pressed
         if not self.is_latched():
             return LatchState(latched=False)
+        written, held = self._parse(), self._held
+        return written if written.who or held is None else held
+
+    def _parse(self) -> LatchState:
         try:
             with self.path.open(encoding="utf-8", errors="replace") as file:
                 told = json.loads(file.read(_MAX_BYTES))
             return LatchState(
-                latched=True, who=str(told["who"])[:200], reason=str(told["reason"])[:500], time_ns=int(told["time_ns"])
+                latched=True,
+                who=str(told["who"])[:200],
+                reason=str(told["reason"])[:500],
+                time_ns=int(told["time_ns"]),
+                restored=int(told.get("restored", 0)),
             )
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return LatchState(latched=True)
@@ -106,10 +167,13 @@ class EmergencyStopLatch:
         Raises:
             UnsafeError: the file cannot be created: only this process is stopped, the others do not know.
         """
-        if self._pressed is None and self.is_latched():
+        with self._lock:
+            is_written = self._look() and self._seen is not None
+        if is_written:
             return self.read_state()
         state = LatchState(latched=True, who=who[:200], reason=reason[:500], time_ns=self._clock_ns())
-        self._pressed = state  # this process stops at once, whatever the disk says
+        with self._lock:
+            self._held, self._tried_s = state, self._clock_s()  # this process stops at once, whatever the disk says
         for listener in self._listeners:
             listener()
         try:
@@ -119,7 +183,6 @@ class EmergencyStopLatch:
                 f"The emergency stop cannot be written to {self.path}: {error.strerror}; only this process is stopped.",
                 hint="Use the robot's own stop.",
             ) from error
-        self._pressed = None
         return state
 
     def _create(self, state: LatchState) -> None:
@@ -128,9 +191,14 @@ class EmergencyStopLatch:
         try:
             descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
         except FileExistsError:
+            with suppress(OSError):
+                self._seen = _identity(self.path)
             return
-        text = json.dumps({"who": state.who, "reason": state.reason, "time_ns": state.time_ns})
+        told = {"who": state.who, "reason": state.reason, "time_ns": state.time_ns, "restored": state.restored}
+        text = json.dumps(told)
         try:
+            made = os.fstat(descriptor)
+            self._seen = made.st_dev, made.st_ino
             with suppress(OSError):
                 os.write(descriptor, text.encode())
         finally:
@@ -167,13 +235,25 @@ class EmergencyStopLatch:
         audit.write(record)
         if not allowed:
             raise RefusedError(f"Resetting the emergency stop needs the role {ADMIN!r}, {who!r} has {role!r}.")
-        try:
-            self.path.unlink(missing_ok=True)
-            if self.path.parent.is_dir():
-                _sync_directory(self.path.parent)
-        except OSError as error:
-            raise StateError(f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched.") from error
-        self._pressed = None
+        with self._lock:
+            try:
+                if self._look() and self._seen is None:
+                    self._create(self._held or LatchState(latched=True))  # others learn of the reset by the file only
+                with suppress(FileNotFoundError):
+                    if stat.S_ISDIR(os.lstat(self.path).st_mode):  # the next reset could not replace it
+                        raise IsADirectoryError(0, "it is a directory")
+                    os.replace(self.path, self._reset_path)
+                    _sync_directory(self.path.parent)
+            except OSError as error:
+                text = f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
+                raise StateError(text) from error
+            self._held = self._seen = None
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    """Device and inode; a rename keeps them, a copy and a new file do not."""
+    found = os.lstat(path)
+    return found.st_dev, found.st_ino
 
 
 def _sync_directory(folder: Path) -> None:

@@ -24,7 +24,7 @@ _ALARM_S = 0.3
 """The kernel's alarm comes so long after the exit that should have made it needless."""
 
 
-def _unheard() -> None:
+def _unheard(_: bytes) -> None:
     """Nobody asks whether the server lives."""
 
 
@@ -51,17 +51,17 @@ def end_group() -> None:
 
 
 def watch_stdin(
-    on_end: Callable[[], None], on_beat: Callable[[], None] = _unheard, grace_s: float = GRACE_S
+    on_end: Callable[[], None], on_beat: Callable[[bytes], None] = _unheard, grace_s: float = GRACE_S
 ) -> threading.Thread:
-    """Call `on_beat` when something comes on stdin: the server lives.
+    """Call `on_beat` with what comes on stdin: the server lives.
 
     When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may
     hang: by then SIGALRM is set, whose default action needs nobody's help.
     """
 
     def watch() -> None:
-        while os.read(0, 4096):
-            on_beat()
+        while data := os.read(0, 4096):
+            on_beat(data)
         signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
         on_end()
         threading.Event().wait(grace_s)

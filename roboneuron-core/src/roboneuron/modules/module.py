@@ -11,12 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import InternalError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.priority import restore
+from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
 from roboneuron.modules.status import ModuleStatus, StatusReporter
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
@@ -81,8 +83,13 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
+        self._requests = RequestGuard(self, self.status)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
+
+    def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
+        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the clock is set back."""
+        return super().create_timer(period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options)
 
     def create_lifecycle_publisher(self, message_type: type, topic: str, *arguments: Any, **options: Any) -> Any:
         """As of LifecycleNode; the status tells how many listeners it has found, as `listeners.<topic>`."""
@@ -129,9 +136,10 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Lifecycle callback."""
         return self._attempt(self._shut_down, "finalized", otherwise="finalized")
 
-    def note_beat(self) -> None:
-        """The server has shown that it lives; called from the thread that reads stdin."""
+    def note_beat(self, data: bytes = b"\n") -> None:
+        """The server has shown that it lives, or announced a request; called from the thread that reads stdin."""
         self._beat_s = time.monotonic()
+        self._requests.announcements.feed(data)
 
     def server_silence_s(self) -> float:
         """Time since the server last showed that it lives; 0 for a module that was started without one."""

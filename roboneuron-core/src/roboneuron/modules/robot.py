@@ -24,6 +24,7 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 _JOINT_STATE_STEP_S = 0.1
 """Time given to reach a position that came without one (JointState commands)."""
 _DETAIL_PERIOD_S = 0.1
+_WATCH_S = 0.1
 _FUTURE_S = 0.1
 """How far the clock of another machine may be ahead of this one: what a wrong clock sends cannot be told from old."""
 
@@ -33,10 +34,12 @@ class RobotModule(Module):
 
     def __init__(self, node: ModuleNode) -> None:
         super().__init__(node)
-        self._topics = NodeTopics(node, accepts=lambda: self._active and not node.stopped)
+        self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         self._driver: RobotDriver | None = None
         self._states: LifecyclePublisher | None = None
         self._subscriptions: list[object] = []
+        self._timer: Any = None
+        self._is_server_silent = False
         self._reader = Worker("robot-state", self._publish_state, self.status)
         self._player = Worker("robot-command", self._play, self.status)
         self._next_state_s = 0.0
@@ -66,6 +69,7 @@ class RobotModule(Module):
             self.node.create_subscription(JointTrajectory, JOINT_TRAJECTORY, self._on_trajectory, NEWEST),
             self.node.create_subscription(JointState, JOINT_COMMAND, self._on_joint_command, NEWEST),
         ]
+        self._timer = self.node.create_timer(min(_WATCH_S, self.config.robot.server_timeout_s / 5), self._watch)
         self.status.set_value("driver", spec.name)
 
     def activate(self) -> None:
@@ -93,6 +97,9 @@ class RobotModule(Module):
         self._active = False
         self._player.stop()
         self._reader.stop()
+        if self._timer is not None:
+            self.node.destroy_timer(self._timer)
+            self._timer = None
         for subscription in self._subscriptions:
             self.node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -106,8 +113,26 @@ class RobotModule(Module):
 
     def emergency_stop(self, latched: bool) -> None:
         """Hold at once and drop what was to be executed; refuse commands as long as the latch is set."""
-        if not latched:
+        if latched:
+            self._drop_and_hold()
+
+    def _watch(self) -> None:
+        """Hold while the server is silent: nobody could stop what is being executed, however long it lasts."""
+        bound_s = self.config.robot.server_timeout_s
+        is_silent = self.node.server_silence_s() > bound_s
+        if is_silent == self._is_server_silent:
             return
+        self._is_server_silent = is_silent
+        if is_silent and self._active:
+            self.status.dropped.add("server_silent")
+            self.status.set_value("note", f"holding: no sign of life of the server for {bound_s:g} s")
+            self._drop_and_hold()
+
+    def _must_hold(self) -> str:
+        """Word for what forbids every motion now; empty when nothing does."""
+        return "emergency_stop" if self.node.stopped else "server_silent" if self._is_server_silent else ""
+
+    def _drop_and_hold(self) -> None:
         with self._arrived:
             self._pending = []
             self._arrived.notify()
@@ -129,8 +154,8 @@ class RobotModule(Module):
     def _accepts(self, info: dict[str, Any]) -> bool:
         if not self._active:
             return False
-        if self.node.stopped:
-            self.status.dropped.add("emergency_stop")
+        if reason := self._must_hold():
+            self.status.dropped.add(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
         if age_s > self.config.robot.command_timeout_s or age_s < -_FUTURE_S:
@@ -166,6 +191,11 @@ class RobotModule(Module):
         except RoboNeuronError as error:
             self.status.dropped.add("refused_command")
             self.status.set_error(error)
+            return
+        if (
+            self._must_hold()
+        ):  # it began between taking the command and sending it, and its own hold may have been first
+            self._driver.hold()
             return
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()

@@ -76,6 +76,8 @@ class StatusKey:
 
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
+FOREIGN_REQUEST = "foreign_request"
+"""Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False releases."""
 STATUS_PERIOD_S = 0.2

@@ -5,11 +5,16 @@ the new one, so that nothing is acted on twice and nothing is left out, however 
 its turn comes, a module works in shadow: it does its work on live inputs and publishes nothing. Inference goes by the
 capture time of images, perception by that of its own, control by the times at which actions were sent and joints
 measured.
+
+A moment is a ROS time only for as long as messages from before it may still be on their way. After that it is past for
+good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -17,12 +22,25 @@ from rclpy.parameter import Parameter
 
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, TURN_PARAMETERS
 
+_SETTLE_S = 5.0
+"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
+_FARTHEST_S = 10.0
+"""A moment farther ahead than this was made before the clock was set."""
+
 
 class Turn:
-    """The three moments; read by the module's threads, set by the executor's."""
+    """The three moments; read by the module's threads, set by the executor's.
 
-    def __init__(self) -> None:
+    Args:
+        now_ns: ROS time [ns].
+        now_s: monotonic time [s].
+    """
+
+    def __init__(self, now_ns: Callable[[], int] = time.time_ns, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_ns = now_ns
+        self._now_s = now_s
         self._moments_ns = dict.fromkeys(TURN_PARAMETERS, 0)
+        self._past_s = dict.fromkeys(TURN_PARAMETERS, math.inf)
 
     def serve(self, node: Node, *, shadow: bool) -> None:
         """Let the moments be set as parameters of `node`; does nothing the second time.
@@ -52,16 +70,20 @@ class Turn:
 
     def set(self, parameters: Sequence[Parameter]) -> None:
         """Take over checked values."""
-        self._moments_ns |= {parameter.name: int(parameter.value) for parameter in parameters}
+        for parameter in parameters:
+            moment_ns = int(parameter.value)
+            ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
+            is_moment = moment_ns not in (0, NEVER_NS)
+            self._past_s[parameter.name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
+            self._moments_ns[parameter.name] = moment_ns
 
     def is_shadow(self, stamp_ns: int) -> bool:
         """What is stamped `stamp_ns` is for looking only."""
-        return stamp_ns < self._moments_ns[ACT_FROM]
+        return stamp_ns < self._moments_ns[ACT_FROM] and self._now_s() < self._past_s[ACT_FROM]
 
     def is_over(self, stamp_ns: int) -> bool:
         """What is stamped `stamp_ns` is the successor's."""
-        until_ns = self._moments_ns[ACT_UNTIL]
-        return until_ns != 0 and stamp_ns >= until_ns
+        return self._has_come(ACT_UNTIL, stamp_ns)
 
     def is_ours(self, stamp_ns: int) -> bool:
         """What is stamped `stamp_ns` is to be acted on by this module."""
@@ -69,5 +91,8 @@ class Turn:
 
     def must_fall_silent(self, now_ns: int) -> bool:
         """The rest of a chunk is the successor's to replace."""
-        until_ns = self._moments_ns[PLAY_UNTIL]
-        return until_ns != 0 and now_ns >= until_ns
+        return self._has_come(PLAY_UNTIL, now_ns)
+
+    def _has_come(self, name: str, stamp_ns: int) -> bool:
+        until_ns = self._moments_ns[name]
+        return until_ns != 0 and (stamp_ns >= until_ns or self._now_s() >= self._past_s[name])

@@ -23,6 +23,7 @@ from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import has_left, holder_of
+from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.direct.path import DirectPath
@@ -42,6 +43,7 @@ from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
+from roboneuron.server.safety_reports import SafetyReports
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 from roboneuron.server.stopping import emergency_tools
@@ -78,8 +80,12 @@ class _Server(Server[Any]):
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
-    def __init__(self, request: ServerRequestContext[Any, Any]) -> None:
+    def __init__(
+        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, questions: Questions
+    ) -> None:
         self._request = request
+        self._params = params
+        self._questions = questions
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
@@ -97,6 +103,10 @@ class RequestContext:
         """See `CallContext.run`."""
         with watching(self._request.request, on_leave):
             return await self._run(work, on_cancel)
+
+    async def ask(self, question: str) -> bool | None:
+        """See `CallContext.ask`."""
+        return await self._questions.ask(self._request, self._params, question)
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
@@ -154,10 +164,12 @@ class Application:
         self.supervisor.on_join = self.features.on_join
         self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
-        self._watch = Watch(self.supervisor.views, (self.events.tell_health,))
+        reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
+        self._watch = Watch(reports.look, (self.events.tell_health,))
         self._diagnostics = HealthDiagnostics(self.supervisor)
         self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.on_health(self._diagnostics.publish)
+        self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
         self.guard = Guard(self.loop, self.events, self.notices.resource_updated)
         audit = self.loop.emergency_stop.audit
         self.operating = Operating(config.server.lease_s, audit, self._on_lapse, has_left=has_left)
@@ -181,6 +193,7 @@ class Application:
         self.direct.fill(self.tools)
         self.events.on_change(self._on_module)
         self.resources = Resources(self.loop, self.started_s, offered)
+        self._questions = Questions()
         self.server = self._build(config.server.name)
 
     def close(self) -> None:
@@ -244,8 +257,12 @@ class Application:
 
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
-        ) -> types.CallToolResult:
-            return await self.tools.call(params.name, params.arguments or {}, RequestContext(context))
+        ) -> types.CallToolResult | types.InputRequiredResult:
+            try:
+                made = RequestContext(context, params, self._questions)
+                return await self.tools.call(params.name, params.arguments or {}, made)
+            except QuestionError as question:
+                return question.result
 
         async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
             return types.ListResourcesResult(resources=self.resources.listing())

@@ -7,10 +7,12 @@ that are not ours.
 from __future__ import annotations
 
 import logging
+import shlex
 import signal
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -29,6 +31,11 @@ CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period."""
 
 
+def reset_command(state_directory: Path) -> str:
+    """What a person types to release the stop."""
+    return f"roboneuron estop --reset --state {shlex.quote(str(state_directory))}"
+
+
 class EmergencyStop:
     """Writes the latch file, and publishes in every namespace that a module was started in; usable from any thread."""
 
@@ -36,6 +43,7 @@ class EmergencyStop:
         self._supervisor = supervisor
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[Any], None]] = {}
+        self._restored = 0
         self._latch = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
         self.audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
 
@@ -53,7 +61,23 @@ class EmergencyStop:
     def cause(self) -> str:
         """Who latched it and why, as far as that is known; empty when it is not latched."""
         state = self._latch.read_state()
-        return f"{state.who}: {state.reason}" if state.latched and state.who else ""
+        restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
+        return f"{state.who}: {state.reason}{restored if state.restored else ''}" if state.latched and state.who else ""
+
+    def take_restored(self) -> int:
+        """How often the latch's file has vanished without a reset, when that is news: recorded, 0 the next time.
+
+        Called now and then, which also keeps the server latched when the file vanishes.
+        """
+        restored = self._latch.read_state().restored
+        is_news, self._restored = restored > self._restored, restored
+        if not is_news:
+            return 0
+        try:
+            self.audit.write(AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored"))
+        except RefusedError as error:
+            log.error("The restored emergency stop is not in the audit: %s", error)
+        return restored
 
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed, and tell modules that start later what the latch says now."""

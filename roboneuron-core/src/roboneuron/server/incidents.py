@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import threading
 import time
@@ -26,22 +27,29 @@ class Incidents:
 
     Args:
         directory: where the files are; made on the first record.
-        clock: wall-clock time [s].
+        clock: wall-clock time [s], for the stamps.
+        monotonic: time [s] by which a repetition is known.
     """
 
-    def __init__(self, directory: Path, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        clock: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.directory = directory
         self._clock = clock
+        self._monotonic = monotonic
         self._lock = threading.Lock()
         self._newest: dict[tuple[str, str], float] = {}
         self._count = 0
 
     def record(self, module: str, what: str, facts: Mapping[str, Any]) -> Path | None:
         """Write one; None when it repeats a recent one, or cannot be written (that goes to the log)."""
-        now_s = self._clock()
+        now_s, seen_s = self._clock(), self._monotonic()
         with self._lock:
-            again = now_s - self._newest.get((module, what), -_AGAIN_S) < _AGAIN_S
-            self._newest[module, what] = now_s
+            again = seen_s - self._newest.get((module, what), -math.inf) < _AGAIN_S
+            self._newest[module, what] = seen_s
             if again:
                 return None
             self._count += 1

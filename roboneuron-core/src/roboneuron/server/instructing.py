@@ -28,7 +28,9 @@ def instruct(supervisor: Supervisor, text: str, timeout_s: float) -> tuple[Repor
     errors = before.error_count if before is not None else 0
     started_s = time.monotonic()
     assert view.choice is not None
-    parameters = ParameterClient(supervisor.link, supervisor.changes, f"/{view.choice.settings.status_name}")
+    assert view.process is not None
+    node = f"/{view.choice.settings.status_name}"
+    parameters = ParameterClient(supervisor.link, supervisor.changes, node, view.process.announce)
     refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
     if refused:
         raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")

@@ -228,7 +228,7 @@ class ClosedLoop:
             cause = self.emergency_stop.cause()
             raise RefusedError(
                 f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would move.",
-                hint="Call reset_emergency_stop when a person says so.",
+                hint="A person releases it: see reset_emergency_stop.",
             )
 
     def _select_inference(self, request: InferenceRequest, role: str) -> Selection:

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.gate.request import ADMIN
 from roboneuron.server.access import check_role, may_call
+from roboneuron.server.asking import QuestionError
 from roboneuron.server.schema import Schema, check_arguments, input_schema, output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
@@ -125,7 +126,7 @@ class ToolRegistry:
         ]
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
-        """Validate, run, and answer; every failure is an MCP error result."""
+        """Validate, run, and answer; every failure is an MCP error result. Raises QuestionError, which is none."""
         try:
             tool = self._find(name)
             check_role(tool, context)
@@ -137,6 +138,8 @@ class ToolRegistry:
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", _short(name), error.code, _clipped(str(error)))
             return _failure(error)
+        except QuestionError:
+            raise
         except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
             incident = uuid.uuid4().hex[:8]
             log.exception("%s failed (incident %s)", name, incident)

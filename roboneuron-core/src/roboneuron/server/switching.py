@@ -130,20 +130,20 @@ class WarmSwitch:
         clients = [self._client(old), self._client(standby)]
         margin_s = self._probe(clients)
         latency_s = self._trial.latency_s(self._healthy(standby))
-        moment_ns = time.time_ns() + int(margin_s * 1e9)
+        moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
         self._on_stage(f"{self._kind}: changing over")
         try:
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
             # The old one is told only when the new one knows: one that dies now disturbs nobody.
             for client, values in ((clients[1], {ACT_FROM: moment_ns}), (clients[0], leave)):
-                left_s = (moment_ns - time.time_ns()) / 1e9 - _LATEST_S
+                left_s = due_s - time.monotonic() - _LATEST_S
                 call = client.send(values)
                 refused = client.finish(call, max(0.0, left_s), lambda: self._healthy(standby))
                 if refused:
                     raise StateError(f"A change-over was refused: {refused}.")
             if self._trial.is_due():
-                self._await_turn(standby, moment_ns, latency_s)
+                self._await_turn(standby, due_s, latency_s)
             return self._supervisor.adopt(standby)
         except BaseException as error:
             self._roll_back(clients, error)
@@ -158,8 +158,8 @@ class WarmSwitch:
                 raise StateError(f"A change-over was refused: {refused}.")
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
-    def _await_turn(self, standby: Slot, moment_ns: int, latency_s: float) -> None:
-        bound_s = (moment_ns - time.time_ns()) / 1e9 + _FIRST_S + 3 * latency_s
+    def _await_turn(self, standby: Slot, due_s: float, latency_s: float) -> None:
+        bound_s = max(0.0, due_s - time.monotonic()) + _FIRST_S + 3 * latency_s
         if not self._supervisor.changes.wait_for(lambda: self._trial.has_taken_over(self._healthy(standby)), bound_s):
             raise NotReadyError(
                 f"The new {self._trial.noun} did not act when its turn came; the old one acts again.",
@@ -201,7 +201,8 @@ class WarmSwitch:
     def _client(self, slot: Slot) -> ParameterClient:
         assert slot.choice is not None
         node = f"/{slot.choice.settings.status_name}"
-        return ParameterClient(self._supervisor.link, self._supervisor.changes, node)
+        assert slot.process is not None
+        return ParameterClient(self._supervisor.link, self._supervisor.changes, node, slot.process.announce)
 
 
 def _listeners(report: Report | None) -> dict[str, int]:

@@ -83,6 +83,10 @@ class CallContext(Protocol):
         """
         ...
 
+    async def ask(self, question: str) -> bool | None:
+        """Whether the client's person agreed; None when it cannot ask one. May end the call and begin it again."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Tool(Generic[A]):

@@ -238,7 +238,7 @@ class ControlTrial(Trial):
 
     def _commands(self) -> bool:
         """Whether the running control moves the arm now."""
-        return time.time_ns() - _number(self.old(), "last_sent_ns.command") < _RECENT_NS
+        return abs(time.time_ns() - _number(self.old(), "last_sent_ns.command")) < _RECENT_NS
 
 
 def _difference(shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]) -> float | None:

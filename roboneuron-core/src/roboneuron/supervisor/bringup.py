@@ -49,7 +49,7 @@ class Bringup:
         self._on_stage = on_stage
         self._doing = "starting"
         self._since_s = self._told_s = time.monotonic()
-        self._client = LifecycleClient(link, f"/{self._name}", changes, self._check)
+        self._client = LifecycleClient(link, f"/{self._name}", changes, self._check, process.announce)
 
     def run(self, deadline_s: float) -> None:
         """Configure, activate, wait for readiness.

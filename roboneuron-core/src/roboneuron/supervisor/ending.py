@@ -28,7 +28,15 @@ def deactivate(
 ) -> None:
     """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
     limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
-    client = LifecycleClient(link, f"/{settings.status_name}", changes, lambda: slot.check_alive("being deactivated"))
+    if slot.process is None:
+        return
+    client = LifecycleClient(
+        link,
+        f"/{settings.status_name}",
+        changes,
+        lambda: slot.check_alive("being deactivated"),
+        slot.process.announce,
+    )
     try:
         if client.transition("deactivate", limit_s) is None:
             log.warning("%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s)

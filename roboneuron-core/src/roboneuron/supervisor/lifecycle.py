@@ -23,10 +23,19 @@ _LOST_S = 1.0
 class LifecycleClient:
     """Drives one managed node.
 
-    `check` is called while waiting and raises to give up (the process died, the start was cancelled).
+    `check` is called while waiting and raises to give up (the process died, the start was cancelled). `announce` tells
+    the node's process the digest of a request before it is sent.
     """
 
-    def __init__(self, link: RosLink, node: str, changes: Changes, check: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        link: RosLink,
+        node: str,
+        changes: Changes,
+        check: Callable[[], None],
+        announce: Callable[[bytes], None],
+    ) -> None:
+        self._announce = announce
         self._link = link
         self._node = node
         self._changes = changes
@@ -77,6 +86,8 @@ class LifecycleClient:
         from lifecycle_msgs.msg import Transition  # heavy
         from lifecycle_msgs.srv import ChangeState  # heavy
 
+        from roboneuron.modules.requests import digest_of_transition  # heavy
+
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
         deadline_s = time.monotonic() + timeout_s
         calls: list[Call] = []
@@ -88,6 +99,7 @@ class LifecycleClient:
                 break
             # One that was killed is in the graph for some seconds more: a request may have gone to it alone.
             if state == _BEFORE[name]:
+                self._announce(digest_of_transition(TRANSITIONS[name], name))
                 calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
             self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s))
             made = _made(calls)

@@ -25,9 +25,15 @@ def _request(values: Mapping[str, str | int]) -> Any:
 
 
 class ParameterClient:
-    """Sets parameters of one node, `node` being its absolute name."""
+    """Sets parameters of one node.
 
-    def __init__(self, link: RosLink, changes: Changes, node: str) -> None:
+    Args:
+        node: its absolute name.
+        announce: tells the node's process the digest of a request before it is sent.
+    """
+
+    def __init__(self, link: RosLink, changes: Changes, node: str, announce: Callable[[bytes], None]) -> None:
+        self._announce = announce
         self._link = link
         self._changes = changes
         self._node = node
@@ -48,6 +54,9 @@ class ParameterClient:
         """Request the change without waiting for the answer."""
         from rcl_interfaces.srv import SetParameters  # heavy
 
+        from roboneuron.modules.requests import digest_of_parameters  # heavy
+
+        self._announce(digest_of_parameters(values))
         return self._link.call(SetParameters, f"{self._node}/set_parameters", _request(values), self._changes.notify)
 
     def finish(self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None) -> str:

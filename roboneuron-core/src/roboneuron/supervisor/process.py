@@ -66,9 +66,13 @@ class ModuleProcess:
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
+        self.announce(b"")
+
+    def announce(self, digest: bytes) -> None:
+        """Tell the process that a request comes from its server, before that is sent; see `modules.requests`."""
         with self._reaping, suppress(OSError):
             if self._child.returncode is None and self._child.stdin is not None:
-                os.write(self._child.stdin.fileno(), b"\n")
+                os.write(self._child.stdin.fileno(), digest + b"\n")
 
     def terminate(self) -> None:
         """SIGTERM to the process: hold, release, leave."""
@@ -157,7 +161,7 @@ class Spawner:
         assert child.stdin is not None
         # A child that dies before it reads is noticed by its reaper.
         with suppress(BrokenPipeError):
-            child.stdin.write(first_line.encode() + b"\n")
+            child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
             child.stdin.flush()
         os.set_blocking(child.stdin.fileno(), False)
         return process

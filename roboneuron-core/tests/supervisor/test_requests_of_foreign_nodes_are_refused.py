@@ -1,0 +1,105 @@
+"""A foreign node may call a module's services; only what its own server asks for is done, the rest is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from roboneuron.config import Config
+from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
+from roboneuron.ros.link import RosLink
+from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.supervisor import Supervisor
+
+MakeConfig = Callable[..., Config]
+
+
+def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
+    announced = Announcements()
+    first, second = digest_of_transition(3, "activate"), digest_of_parameters({"instruction": "go", "act_from_ns": 3})
+    assert announced.take(first), "a module without a server belongs to whoever calls"
+    stream = b"\n" + first + b"\n\n" + second + b"\n"
+    for i in range(0, len(stream), 7):
+        announced.feed(stream[i : i + 7])
+    assert not announced.take(digest_of_transition(3, "shutdown")), "the node would go by the label"
+    assert announced.take(second)
+    assert announced.take(first)
+    assert not announced.take(first)
+    assert not announced.take(second)
+
+
+@pytest.fixture
+def foreign(supervisor: Supervisor) -> Iterator[RosLink]:
+    """Another node on the graph."""
+    assert supervisor.link  # joins the graph first, as the environment has to be prepared
+    link = RosLink("meddler")
+    link.open()
+    yield link
+    link.close()
+
+
+@pytest.mark.ros
+def test_foreign_requests_are_refused_and_reported_by_name(
+    supervisor: Supervisor, foreign: RosLink, make_config: MakeConfig
+) -> None:
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+
+    supervisor.start("robot", make_config())
+    changes = supervisor.changes
+
+    def ask(service_type: Any, name: str, request: Any) -> Any:
+        path = f"/fake/robot/{name}"
+        assert changes.wait_for(lambda: foreign.is_service_ready(service_type, path), 10.0)
+        call = foreign.call(service_type, path, request, changes.notify)
+        assert changes.wait_for(lambda: call.done, 10.0), "it is answered"
+        return call.response
+
+    def refused() -> int:
+        report = supervisor.view("robot").report
+        return 0 if report is None else report.dropped_by.get("foreign_request", 0)
+
+    sim_time = Parameter(name="use_sim_time", value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True))
+    for number, label in ((4, "deactivate"), (7, "shutdown"), (0, "deactivate"), (4, "")):
+        request = ChangeState.Request(transition=Transition(id=number, label=label))
+        assert not ask(ChangeState, "change_state", request).success
+    answer = ask(SetParameters, "set_parameters", SetParameters.Request(parameters=[sim_time, sim_time]))
+    assert [result.successful for result in answer.results] == [False, False]
+    assert "only the server" in answer.results[0].reason
+    atomic = SetParametersAtomically.Request(parameters=[sim_time])
+    assert not ask(SetParametersAtomically, "set_parameters_atomically", atomic).result.successful
+    assert ask(GetState, "get_state", GetState.Request()).current_state.label == "active", "reading is for everybody"
+
+    assert changes.wait_for(lambda: refused() == 6, 5.0)
+    report = supervisor.view("robot").report
+    assert report is not None
+    assert report.state == "active"
+    assert "/meddler" in report.metrics["foreign_request"]
+    assert "roboneuron_server" not in report.metrics["foreign_request"]
+    stopped = supervisor.stop("robot")
+    assert stopped is not None
+    assert not stopped.killed
+
+
+@pytest.mark.ros
+def test_the_server_s_own_requests_are_followed_beside_foreign_ones(
+    supervisor: Supervisor, foreign: RosLink, make_config: MakeConfig
+) -> None:
+    view = supervisor.start("inference", make_config())
+    assert view.process is not None
+    own = ParameterClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
+    other = ParameterClient(foreign, supervisor.changes, "/fake/inference", lambda digest: None)
+    for round_ in range(10):
+        assert "only the server" in other.set({"instruction": f"foreign {round_}"}, 5.0)
+        assert own.set({"instruction": f"own {round_}"}, 5.0) == ""
+        report = supervisor.changes.wait_for(
+            lambda round_=round_: (
+                (seen := supervisor.view("inference").report) and seen.instruction == f"own {round_}" and seen
+            ),
+            5.0,
+        )
+        assert report, "the server's instruction is set"

@@ -1,0 +1,213 @@
+"""A served FR3 moved directly by an MCP client: it stands when the server freezes and when it is stopped, and stays so.
+
+Judged at the measured joints. Everything is a process of its own: client, server and robot.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from mcp import Client, StdioServerParameters
+
+from roboneuron.gate.estop import FILE_NAME
+from roboneuron.ros.environment import prepare_environment
+from roboneuron.testing.domain import free_ros_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+CONFIG = """
+[robot]
+name = "fr3"
+server_timeout_s = {bound_s}
+[supervisor]
+state_directory = "{state}"
+"""
+BOUND_S, BRAKING_S = 1.0, 1.0
+STILL_RAD_S = 0.02
+Wait = Callable[[Callable[[], bool], float, str], float]
+
+
+class ServedArm:
+    """An MCP client, and a witness of the joints on the same graph."""
+
+    def __init__(self, client: Client, portal: BlockingPortal, state: Path) -> None:
+        from sensor_msgs.msg import JointState
+
+        from roboneuron.ros.link import RosLink
+        from roboneuron.ros.qos import NEWEST
+
+        self._client, self._portal, self.state = client, portal, state
+        self.position = np.zeros(7)
+        self.velocity: list[tuple[float, float]] = []
+        self.link = RosLink("witness")
+        self.link.open()
+        self.link.subscribe(JointState, "/fr3/joint_states", self._on_state, NEWEST)
+
+    def _on_state(self, message: Any) -> None:
+        self.position = np.array(message.position[:7])
+        self.velocity.append((time.monotonic(), float(np.abs(message.velocity[:7]).max())))
+
+    def answer(self, tool: str, **arguments: Any) -> Any:
+        return self._portal.call(self._client.call_tool, tool, arguments)
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        answer = self.answer(tool, **arguments)
+        assert not answer.is_error, answer.content
+        return dict(answer.structured_content)
+
+    def robot(self) -> dict[str, Any]:
+        return next(m for m in self.do("get_status")["modules"] if m["module"] == "robot")
+
+    def is_moving(self) -> bool:
+        return bool(self.velocity) and self.velocity[-1][1] > 5 * STILL_RAD_S
+
+    def is_still(self) -> bool:
+        recent = [speed for at_s, speed in self.velocity if at_s > time.monotonic() - 0.2]
+        return len(recent) > 5 and max(recent) < STILL_RAD_S
+
+    def move_away(self) -> threading.Thread:
+        """A long motion of the first joint, by a call that goes on."""
+        target = 1.2 if self.position[0] < 0 else -1.2
+        arguments = {"positions": {"fr3_joint1": target}, "duration_s": 8.0}
+        thread = threading.Thread(target=lambda: self.answer("move_joints", **arguments))
+        thread.start()
+        return thread
+
+    def release(self) -> None:
+        """What a person does: say yes in a terminal."""
+        person, terminal = pty.openpty()
+        try:
+            os.write(person, b"y\n")
+            command = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--reset", "--state", str(self.state)]
+            subprocess.run(command, stdin=terminal, check=True, timeout=60, capture_output=True)
+        finally:
+            os.close(person)
+            os.close(terminal)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedArm]:
+    folder = tmp_path_factory.mktemp("served")
+    config = folder / "roboneuron.toml"
+    config.write_text(CONFIG.format(bound_s=BOUND_S, state=folder / "state"))
+    with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
+        patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
+        prepare_environment(folder / "log")
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+        portal = stack.enter_context(start_blocking_portal())
+        client = stack.enter_context(portal.wrap_async_context_manager(Client(server)))
+        served = ServedArm(client, portal, folder / "state")
+        stack.callback(served.link.close)
+        served.do("start_robot")
+        yield served
+
+
+def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> None:
+    wait(arm.is_still, 10.0, "the arm stands at first")
+    server = int(arm.do("get_status")["pid"])
+    call = arm.move_away()
+    wait(arm.is_moving, 10.0, "the arm moves")
+    os.kill(server, signal.SIGSTOP)
+    try:
+        took_s = wait(arm.is_still, 5.0, "the arm stands though its trajectory goes on for seconds")
+        assert took_s < BOUND_S + BRAKING_S
+        place = arm.position.copy()
+        time.sleep(1.0)  # what is looked for is that nothing happens
+        assert np.abs(arm.position - place).max() < 0.01
+        assert abs(place[0]) < 1.15, "it was on its way"
+    finally:
+        os.kill(server, signal.SIGCONT)
+    call.join(30.0)
+    assert not call.is_alive()
+    assert np.abs(arm.position - place).max() < 0.01, "a server that lives again does not take the motion up again"
+    wait(lambda: arm.robot()["dropped_by"].get("server_silent", 0) >= 1, 3.0, "the status says why")
+    moved = arm.do("move_joints", positions={"fr3_joint1": float(place[0]) + 0.2})
+    assert moved["error"] < 0.01
+
+
+def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wait: Wait) -> None:
+    call = arm.move_away()
+    wait(arm.is_moving, 10.0, "the arm moves")
+    arm.do("emergency_stop", reason="a hand in the workspace")
+    call.join(30.0)
+    wait(arm.is_still, 3.0, "the arm stands")
+    place = arm.position.copy()
+    shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again while it is removed
+    wait((arm.state / FILE_NAME).exists, 2.0, "the latch is written again")
+    answer = arm.answer("move_joints", positions={"fr3_joint1": -float(np.sign(place[0]))})
+    assert answer.is_error
+    assert "latched" in answer.content[0].text
+    assert json.loads((arm.state / FILE_NAME).read_text())["restored"] >= 1
+    time.sleep(1.0)  # what is looked for is that nothing happens
+    assert np.abs(arm.position - place).max() < 0.02
+    status = arm.do("get_status")
+    assert status["emergency_stop"] is True
+    assert "vanished without a reset" in status["emergency_stop_cause"]
+    incidents = arm.do("list_incidents")["incidents"]
+    assert ("emergency_stop", "latch_vanished") in {(i["module"], i["what"]) for i in incidents}
+
+    refused = arm.answer("reset_emergency_stop")
+    assert refused.is_error
+    assert "Only a person releases" in refused.content[0].text
+    arm.release()
+    wait(lambda: not arm.do("get_status")["emergency_stop"], 3.0, "it is released")
+    target = float(place[0]) - 0.2 * float(np.sign(place[0]))
+    assert arm.do("move_joints", positions={"fr3_joint1": target})["error"] < 0.01
+
+
+def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(arm: ServedArm, wait: Wait) -> None:
+    """Nothing is latched when it is removed: a stop pressed afterwards holds all the same."""
+    call = arm.move_away()
+    wait(arm.is_moving, 10.0, "the arm moves")
+    shutil.rmtree(arm.state, ignore_errors=True)
+    arm.do("emergency_stop", reason="smoke")
+    call.join(30.0)
+    wait(arm.is_still, 3.0, "the arm stands")
+    assert (arm.state / FILE_NAME).exists()
+    arm.release()
+    wait(lambda: not arm.do("get_status")["emergency_stop"], 3.0, "it is released")
+
+
+def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) -> None:
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    simulated = Parameter(name="use_sim_time", value=value)
+    requests = [
+        (ChangeState, "change_state", ChangeState.Request(transition=Transition(id=4, label="deactivate"))),
+        (
+            SetParameters,
+            "set_parameters",
+            SetParameters.Request(parameters=[simulated]),
+        ),
+    ]
+    for service_type, name, request in requests:
+        path = f"/fr3/robot/{name}"
+        wait(lambda t=service_type, p=path: arm.link.is_service_ready(t, p), 10.0, "the service is found")
+        call = arm.link.call(service_type, path, request, lambda: None)
+        wait(lambda call=call: call.done, 5.0, "it is answered")
+        assert "successful=True" not in str(call.response)
+        assert "success=True" not in str(call.response)
+    wait(lambda: arm.robot()["dropped_by"].get("foreign_request", 0) == 2, 5.0, "both are counted")
+    robot = arm.robot()
+    assert (robot["health"], robot["state"]) == ("ok", "active")
+    assert "/witness" in robot["metrics"]["foreign_request"]
+    assert any(i["what"] == "foreign_request" for i in arm.do("list_incidents")["incidents"])
