@@ -112,6 +112,13 @@ def number_fields(endpoint: Endpoint) -> list[str]:
     return numbers
 
 
+def sent_types(kind: str, type_name: str) -> set[str]:
+    """Types of the messages within what an endpoint of this kind and type is sent."""
+    message = _sent_message(Endpoint(name="", kind=kind, topic="", type=type_name, summary=""))
+    elements = (part.type.element if isinstance(part.type, Array) else part.type for _, part in message.walk())
+    return {element.message.type_name for element in elements if isinstance(element, Nested)}
+
+
 def _sent_message(endpoint: Endpoint) -> Message:
     interface = load_interface(endpoint.type)
     kinds = {"service": ServiceInterface, "action": ActionInterface}

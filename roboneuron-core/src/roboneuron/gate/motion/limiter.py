@@ -13,7 +13,7 @@ from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, 
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.joint_space import JointSpace
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.selection import check_gripper, pick
+from roboneuron.gate.motion.selection import check_gripper, pick, pick_others
 from roboneuron.gate.motion.setpoint import CommandedMotion
 from roboneuron.gate.motion.task_space import TaskSpace
 from roboneuron.gate.motion.verdict import Motion, Verdict
@@ -39,7 +39,10 @@ class _Stop(Exception):
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Step:
-    """What one command is judged by; arrays are float64 (n,) in the order of the profile's arm joints."""
+    """What one command is judged by; arrays are float64 (n,) in the order of the profile's arm joints.
+
+    `others` are names and positions of joints beside the arm's, as commanded or else as measured.
+    """
 
     measured: F64
     start: F64
@@ -48,6 +51,7 @@ class _Step:
     duration_s: float
     passed_s: float
     stamp_ns: int
+    others: tuple[tuple[str, ...], F64]
     acted: list[str] = field(default_factory=list)
     reason: str = ""
 
@@ -178,6 +182,7 @@ class MotionLimiter:
             duration_s=duration_s,
             passed_s=max(0.0, min(since_s, duration_s)),
             stamp_ns=joints.stamp_ns,
+            others=pick_others(command, joints, self._names),
         )
         return step, lost
 
@@ -185,10 +190,15 @@ class MotionLimiter:
         return self._inspect(self._sample(step, position))
 
     def _sample(self, step: _Step, position: F64) -> JointSample:
-        return JointSample(names=self._names, position=position, stamp_ns=step.stamp_ns)
+        names, others = step.others
+        if not names:
+            return JointSample(names=self._names, position=position, stamp_ns=step.stamp_ns)
+        return JointSample(
+            names=(*self._names, *names), position=np.concatenate([position, others]), stamp_ns=step.stamp_ns
+        )
 
     def _broken(self, step: _Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
-        return self._task.places(here, there, lambda: self._look(step, step.measured).smallest_singular_value)
+        return self._task.places(here, there, lambda: self._look(step, step.measured))
 
     def _motion(self, step: _Step, here: Pose, start: Pose, there: Posture, target: F64) -> Motion:
         speed = float(np.abs(target - step.start).max(initial=0.0)) / step.duration_s
