@@ -184,7 +184,7 @@ def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(make_as
     ask, rng = make_ask("max_speed_m_s = 0.5"), np.random.default_rng(11)
     start, moves = HOME, 0
     for target in _targets(rng, 40):
-        near = start + (target - start) * 0.4
+        near = start + (target - start) * rng.choice([0.4, 1.0])
         duration_s = next((d for d in (1.0, 2.0, 4.0, 8.0) if not ask(start, near, d)), None)
         if duration_s is None:
             continue

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, Posture, RobotProfile
 from roboneuron.errors import RefusedError, UnsafeError
-from roboneuron.gate.motion.reach import levers_m
+from roboneuron.gate.motion.reach import Reach
 from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import TaskSpace
 
@@ -20,7 +20,6 @@ F64 = NDArray[np.float64]
 
 MAX_POSTURES = 20_000
 """Longer ways are refused: judging them would take seconds."""
-_FINEST_M, _COARSEST_M = 0.005, 0.02
 
 
 class LimitError(RefusedError):
@@ -68,10 +67,8 @@ class PathLimiter:
         self._task = TaskSpace(rules)
         self._profile = profile
         self._inspect = inspect
-        self._levers = levers_m(profile)
+        self._reach = Reach(profile)
         self._lock = threading.Lock()
-        least_m = _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
-        self._spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
 
     def check(self, legs: Iterable[Leg], joints: JointSample) -> None:
         """Raise LimitError for the first limit that the way breaks.
@@ -134,8 +131,7 @@ class PathLimiter:
         farthest = np.abs(way)
         if slopes is not None and leg.duration_s is not None:
             farthest = np.maximum(farthest, leg.duration_s * np.maximum(np.abs(slopes[0]), np.abs(slopes[1])) * 1.5)
-        travel_m = float(sum(self._levers.get(n, 1.0) * d for n, d in zip(names, farthest.tolist(), strict=True)))
-        count = max(1, math.ceil(travel_m / self._spacing_m))
+        count = self._reach.count(names, farthest)
         if count > left:
             raise LimitError("length", "The way is too long to be judged.", hint="Send it in several calls.")
         worst, told = 0.0, ""

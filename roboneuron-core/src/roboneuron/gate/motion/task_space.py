@@ -85,12 +85,17 @@ class TaskSpace:
             before = look_here().smallest_singular_value or 0.0
             if is_worse(least - singular, least - before):
                 yield "singularity", f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
-        if there.near:
-            start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
-            for pair in there.near:
-                if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
-                    yield (
-                        "collision",
-                        f"{pair.first} and {pair.second} would be {pair.distance_m * 1e3:.1f} mm apart, at least "
-                        f"{pair.least_m * 1e3:g} mm are required.",
-                    )
+        for reason in self.collisions(there, look_here):
+            yield "collision", reason
+
+    def collisions(self, there: Posture, look_here: Callable[[], Posture]) -> Iterator[str]:
+        """Pairs that are too near in a posture and no farther apart than at the start of the way."""
+        if not there.near:
+            return
+        start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
+        for pair in there.near:
+            if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
+                yield (
+                    f"{pair.first} and {pair.second} would be {pair.distance_m * 1e3:.1f} mm apart, at least "
+                    f"{pair.least_m * 1e3:g} mm are required."
+                )
