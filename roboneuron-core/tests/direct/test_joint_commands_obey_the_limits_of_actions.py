@@ -127,8 +127,6 @@ def test_a_sequence_counts_as_the_messages_that_it_sends(run_with: Callable[...,
         assert not (await agent.do(name, steps=[step], times=500, dry_run=True))["allowed"]
         assert sent(arm) == []
         assert (await agent.do(name, steps=[step | {"duration_s": 0.02}], times=40))["sent"] == 40
-        _, text = await agent.fail(name, steps=[step | {"duration_s": 0.02}], times=40)
-        assert "Too many messages" in text
 
     run_with(CONFIG, scenario)
 
@@ -139,7 +137,7 @@ def test_a_finger_far_off_does_not_count_as_arrived(run_with: Callable[..., None
     async def scenario(agent: Any) -> None:
         for positions, off in (({"finger": 0.0098}, "finger 0.0098"), ({"slide_x": 0.103}, "slide_x 0.0030")):
             code, text = await agent.fail("move_joints", positions=positions, duration_s=0.5)
-            assert code == "state"
+            assert code == "wrong_state"
             assert off in text
         assert (await agent.do("move_joints", positions={"yaw": 0.008}, duration_s=0.5))["error"] < 0.01
 

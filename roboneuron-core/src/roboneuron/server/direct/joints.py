@@ -34,6 +34,8 @@ from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Sta
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
+_NEARLY = 0.95
+"""Share of what a joint may do so near to its limit."""
 _SETTLE_S = 3.0
 
 
@@ -164,8 +166,9 @@ class _JointMover:
         """Duration at which every joint uses at most a share of its velocity limit."""
         needed = [0.5]
         for name, value in target.items():
-            limit, distance = self._limits[name], abs(value - _position(joints, name))
-            needed.append(distance / (_EASY * limit.velocity))
+            limit, start = self._limits[name], _position(joints, name)
+            distance, fastest = abs(value - start), limit.fastest(start, value)
+            needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
             needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
         return max(needed)
 
