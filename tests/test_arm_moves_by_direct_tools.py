@@ -26,8 +26,8 @@ lower_m = [0.22, 0.12, 0.3]
 upper_m = [0.30, 0.30, 0.7]
 [limits]
 obstacles = [
-    { name = "table", lower_m = [-0.3, -0.6, -0.6], upper_m = [1.0, 0.6, 0.0] },
-    { name = "lamp", lower_m = [0.25, -0.35, 0.5], upper_m = [0.35, -0.25, 0.8] },
+    {{ name = "table", lower_m = [-0.3, -0.6, -0.6], upper_m = [1.0, 0.6, 0.0] }},
+    {{ name = "lamp", lower_m = [0.25, -0.35, 0.5], upper_m = [0.35, -0.25, 0.8] }},
 ]
 [supervisor]
 state_directory = "{state}"

@@ -64,7 +64,7 @@ class ExposeConfig(Section):
     type: str | None = Field(default=None, description="package/msg/Name, package/srv/Name or package/action/Name")
     summary: str = Field(default="", max_length=500, description="one line for the agent")
     bounds: dict[str, Range] = Field(default_factory=dict, description="[lowest, highest] by field path")
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most calls per second")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most messages per second")
     clamp: tuple[str, ...] = Field(default=(), strict=False, description="fields that are clamped instead of refused")
     nonfinite: tuple[str, ...] = Field(default=(), strict=False, description="fields that may hold NaN and infinities")
     stop_message: Literal["", "zero"] | dict[str, Any] = Field(
@@ -86,7 +86,7 @@ class DiscoverConfig(Section):
     )
     robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
-        default=10.0, description="most calls per second of each endpoint"
+        default=10.0, description="most messages per second of each endpoint"
     )
     limits: dict[str, dict[str, Range]] = Field(
         default_factory=dict,

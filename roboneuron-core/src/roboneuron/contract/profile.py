@@ -144,7 +144,7 @@ class Endpoint:
         type: "package/msg/Name", "package/srv/Name" or "package/action/Name".
         summary: one line for the agent.
         bounds: dotted field path -> (lowest, highest) value, in the field's own unit.
-        rate_hz: most calls per second; 0 means no bound.
+        rate_hz: most messages per second; 0 means no bound.
         stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
         min_turning_radius_m: of a base that steers like a car; its twists obey `check_twist`. 0: it turns on the spot.

@@ -36,7 +36,7 @@ class ConfiguredLimits:
 
     Attributes:
         bounds: field path -> (lowest, highest), within the profile's.
-        rate_hz: most calls per second, not above the profile's; None keeps it.
+        rate_hz: most messages per second, not above the profile's; None keeps it.
         clamp: field paths to clamp instead of refuse; each needs a bound.
     """
 
