@@ -20,6 +20,15 @@ source = "fr3-sim-camera"
 backend = "servo"
 [control]
 controller = "urdf"
+[[limits.zones]]
+name = "person"
+lower_m = [0.22, 0.12, 0.0]
+upper_m = [0.40, 0.30, 0.7]
+[limits]
+obstacles = [
+    {{ name = "table", lower_m = [-0.3, -0.6, -0.6], upper_m = [1.0, 0.6, 0.0] }},
+    {{ name = "lamp", lower_m = [0.25, -0.35, 0.02], upper_m = [0.35, -0.25, 0.8] }},
+]
 [supervisor]
 state_directory = "{state}"
 """
@@ -77,6 +86,15 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             text = await fail("publish_joint_trajectory", message={"joint_names": ["fr3_joint1"], "points": [quick]})
             assert "fr3_joint1 would move at" in text
 
+            for tool, arguments in (
+                ("move_joints", {"positions": {"fr3_joint1": 0.6}}),
+                ("publish_joint_trajectory", {"message": {"joint_names": ["fr3_joint1"], "points": [
+                    {"positions": [0.6], "time_from_start": 8.0}]}}),
+            ):  # fmt: skip
+                assert "would enter 'person'" in await fail(tool, **arguments)
+                assert not (await do(tool, **arguments, dry_run=True))["allowed"]
+            assert "fr3_hand and lamp would be" in await fail("move_joints", positions={"fr3_joint1": -0.6})
+
             await do("start_perception")
             await do("start_inference")
             for tool, arguments in (("move_ee", {"dx_m": 0.02}), ("move_joints", {"positions": {"fr3_joint1": 0.1}})):
@@ -87,7 +105,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             stopped: list[str] = []
 
             async def move() -> None:
-                stopped.append(await fail("move_joints", positions={"fr3_joint1": 1.0}, duration_s=8.0))
+                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.3}, duration_s=8.0))
 
             async with anyio.create_task_group() as group:
                 group.start_soon(move)
@@ -95,6 +113,6 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
                 await do("emergency_stop")
             assert "The emergency stop is latched" in stopped[0]
             joints = (await do("read_joint_states"))["messages"][0]
-            assert joints["position"][joints["name"].index("fr3_joint1")] < 0.6
+            assert joints["position"][joints["name"].index("fr3_joint1")] > -0.2
 
     anyio.run(scenario)

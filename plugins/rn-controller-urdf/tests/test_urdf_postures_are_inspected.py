@@ -1,4 +1,4 @@
-"""What the controller "urdf" tells of a posture: TCP, distance from a singularity, links that touch each other."""
+"""What the controller "urdf" tells of a posture: TCP, distance from a singularity, what is too near."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ import pytest
 
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.options import UrdfControllerOptions
-from roboneuron.contract import Hold, JointCommand, JointSample, PostureInspector, RobotProfile
+from roboneuron.contract import (
+    CollisionProfile,
+    Hold,
+    JointCommand,
+    JointSample,
+    Obstacle,
+    PostureInspector,
+    RobotProfile,
+)
 from roboneuron.contract.action import Action
 from roboneuron.errors import ConfigurationError, StateError, UnsafeError
 
@@ -54,7 +62,7 @@ def test_inspection_is_offered_and_places_the_tcp_as_forward_does() -> None:
     posture, pose = controller.inspect(sample(0.2, 0.5, -0.3)), controller.forward(sample(0.2, 0.5, -0.3))
     np.testing.assert_array_equal(posture.pose.position_m, pose.position_m)
     np.testing.assert_array_equal(posture.pose.quaternion_xyzw, pose.quaternion_xyzw)
-    assert posture.contact is None
+    assert posture.near is None
 
 
 def test_smallest_singular_value_is_that_of_the_measured_jacobian() -> None:
@@ -76,20 +84,68 @@ def test_smallest_singular_value_vanishes_for_a_stretched_arm() -> None:
     assert loaded().inspect(sample(0.4, 0.9, 0.9)).smallest_singular_value > 0.05
 
 
+def near(profile: RobotProfile, *position: float) -> dict[tuple[str, str], float]:
+    """Distances [m] of what is too near."""
+    found = loaded(profile).inspect(sample(*position)).near
+    assert found is not None
+    return {(pair.first, pair.second): pair.distance_m for pair in found}
+
+
+def guarded(profile: RobotProfile | None = None, *obstacles: Obstacle, least_m: float = 0.0) -> RobotProfile:
+    return replace(profile or planar(), collision=CollisionProfile(min_distance_m=least_m, obstacles=tuple(obstacles)))
+
+
 @pytest.mark.parametrize(
-    ("position", "contact"), [((0.0, 0.6, 0.6), ""), ((0.0, 1.5, 1.5), ""), ((0.0, 2.6, 2.6), "bar1 and bar3")]
+    ("position", "touches"), [((0, 0.6, 0.6), False), ((0, 1.5, 1.5), False), ((0, 2.6, 2.6), True)]
 )
-def test_links_that_touch_are_named(position: tuple[float, float, float], contact: str) -> None:
-    assert loaded(self_collision=True).inspect(sample(*position)).contact == contact
+def test_links_that_touch_are_named(position: tuple[float, float, float], touches: bool) -> None:
+    found = near(guarded(), *position)
+    assert list(found) == ([("bar1", "bar3")] if touches else [])
+    assert all(distance_m < 0.0 for distance_m in found.values())
 
 
-def test_margin_counts_links_that_are_merely_close() -> None:
-    """Folded to a U, the outer bars are parallel with 0.26 m of air between them."""
-    u_shape = sample(0.0, math.pi / 2, math.pi / 2)
-    assert loaded(self_collision=True, self_collision_margin_m=0.01).inspect(u_shape).contact == ""
-    tight = sample(0.0, 2.4, 1.2)
-    assert loaded(self_collision=True, self_collision_margin_m=0.0).inspect(tight).contact == ""
-    assert loaded(self_collision=True, self_collision_margin_m=0.15).inspect(tight).contact == "bar1 and bar3"
+def test_links_that_are_merely_near_are_told_with_their_distance() -> None:
+    """Folded to a U, the outer bars are parallel with 0.3 m between their axes, 0.26 m of air."""
+    u_shape = (0.0, math.pi / 2, math.pi / 2)
+    assert near(guarded(least_m=0.2), *u_shape) == {}
+    assert near(guarded(least_m=0.3), *u_shape) == {("bar1", "bar3"): pytest.approx(0.26, abs=1e-6)}
+
+
+def test_obstacles_stand_in_the_base_frame_and_are_told_by_name() -> None:
+    wall = Obstacle(name="wall", lower_m=np.array([-1.0, 0.5, -1.0]), upper_m=np.array([1.0, 0.6, 1.0]))
+    assert near(guarded(None, wall), 0.0, 0.1, 0.1) == {}
+    assert near(guarded(None, wall), math.pi / 2, 0.0, 0.0)["bar2", "wall"] < 0.0
+    upright = near(guarded(None, wall, least_m=0.1), 0.0, 0.0, math.pi / 2)  # bar3 ends at y = 0.3 m
+    assert upright == {}
+    assert near(guarded(None, wall, least_m=0.25), 0.0, 0.0, math.pi / 2) == {("bar3", "wall"): pytest.approx(0.2)}
+
+
+def test_a_base_that_is_not_at_the_origin_takes_its_obstacles_along() -> None:
+    shifted = replace(
+        planar(),
+        urdf=planar().urdf.replace(
+            '<link name="base"/>',
+            '<link name="world"/><link name="base"/><joint name="up" type="fixed"><parent link="world"/>'
+            '<child link="base"/><origin xyz="0 0 2"/></joint>',
+        ),
+    )
+    wall = Obstacle(name="wall", lower_m=np.array([-1.0, 0.5, -1.0]), upper_m=np.array([1.0, 0.6, 1.0]))
+    assert ("bar2", "wall") in near(guarded(shifted, wall), math.pi / 2, 0.0, 0.0)
+    away = replace(wall, lower_m=np.array([-1.0, 0.5, 1.0]), upper_m=np.array([1.0, 0.6, 3.0]))
+    assert near(guarded(shifted, away), math.pi / 2, 0.0, 0.0) == {}
+
+
+def test_tool_links_may_come_close_to_obstacles_but_not_touch_them() -> None:
+    wall = Obstacle(name="wall", lower_m=np.array([-1.0, 0.301, -1.0]), upper_m=np.array([1.0, 0.6, 1.0]))
+    profile = guarded(None, wall, least_m=0.01)
+    assert profile.collision is not None
+    posture = (0.0, 0.0, math.pi / 2)  # bar3 ends 1 mm before the wall
+    assert near(profile, *posture) == {("bar3", "wall"): pytest.approx(0.001, abs=1e-6)}
+    tool = replace(profile, collision=replace(profile.collision, tool_links=("bar3",)))
+    assert near(tool, *posture) == {}
+    assert list(near(tool, 0.0, 0.02, math.pi / 2)) == [("bar3", "wall")]
+    with pytest.raises(ConfigurationError, match="'hook' has no collision shape"):
+        loaded(replace(profile, collision=CollisionProfile(tool_links=("hook",))))
 
 
 def test_commands_are_the_same_with_and_without_inspection() -> None:
@@ -119,12 +175,12 @@ def test_bad_joints_cannot_be_inspected() -> None:
         ('<collision><geometry><mesh filename="x.stl"/></geometry></collision>', "meshes"),
     ],
 )
-def test_self_collision_without_usable_shapes_is_refused(shape: str, words: str) -> None:
+def test_collision_without_usable_shapes_is_refused(shape: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        loaded(planar(shape), self_collision=True)
+        loaded(guarded(planar(shape)))
 
 
 def test_links_that_touch_at_home_are_not_compared() -> None:
     folded = replace(planar(), home_rad=np.array([0.0, 2.6, 2.6]))
     with pytest.raises(ConfigurationError, match="no two links"):  # bar1 and bar3 are the only pair
-        loaded(folded, self_collision=True)
+        loaded(guarded(folded))

@@ -300,3 +300,9 @@ def ask(application: Application, rover: Rover) -> Callable[..., None]:
     node = application.supervisor.link.node
     assert wait_until(lambda: ("robot_node", "/rover") in node.get_node_names_and_namespaces(), 10.0)
     return lambda scenario, mode="auto": run_agent(application, scenario, mode)
+
+
+@pytest.fixture
+def run_with(make_application: Callable[..., Application]) -> Callable[..., None]:
+    """Run a scenario with a client of a server that has this configuration."""
+    return lambda text, scenario: run_agent(make_application(text), scenario)

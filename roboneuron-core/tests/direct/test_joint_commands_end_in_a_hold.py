@@ -17,6 +17,8 @@ CONFIG = """
 name = "gantry"
 [direct]
 max_duration_s = 20
+[limits]
+max_speed_m_s = 3.0
 [[expose]]
 name = "joint_trajectory"
 kind = "publish"
@@ -128,12 +130,12 @@ def test_each_step_of_a_sequence_begins_where_the_one_before_ends(ask_arm: Any, 
         name = "publish_joint_trajectory_sequence"
         far = [{"message": to(0.5, 1)}, {"message": to(-0.6, 1)}]  # 0.4 and 1.1 in 1 s
         assert "steps[1]: points[0]: slide_x would move at 1.1 per second" in await agent.fail(name, steps=far)
-        again = [{"message": to(0.9, 0.9)}]  # from 0.1 within the limits, from 0.9 as well
+        again = [{"message": to(0.85, 1.2)}]  # from 0.1 within the limits, from 0.85 as well
         assert (await agent.do(name, steps=again, times=2, dry_run=True))["allowed"]
         short = [{"message": to(0.2, 1), "duration_s": 0.5}]
         assert "takes 1 s, its step only 0.5 s" in await agent.fail(name, steps=short)
         assert not arm.on(TRAJECTORIES)
-        result = await agent.do(name, steps=[{"message": to(0.2, 0.2)}, {"message": to(0.1, 0.2), "duration_s": 0.3}])
+        result = await agent.do(name, steps=[{"message": to(0.13, 0.2)}, {"message": to(0.1, 0.2), "duration_s": 0.3}])
         assert (result["sent"], result["stopped"]) == (2, False)
         assert result["duration_s"] >= 0.5
 
@@ -150,7 +152,7 @@ def test_positions_are_checked_for_pace_and_velocities_end_in_zero(ask_arm: Any,
         steps = [{"message": away, "duration_s": 1.5}, {"message": away, "duration_s": 0.5}]
         assert "steps[1]: slide_x would be at 1.1" in await agent.fail(f"{name}_sequence", steps=steps)
         assert not arm.on(COMMANDS)
-        assert not (await agent.do(name, message={"name": ["slide_x"], "position": [0.15]}, duration_s=0.1))["stopped"]
+        assert not (await agent.do(name, message={"name": ["slide_x"], "position": [0.11]}, duration_s=0.1))["stopped"]
         assert (await agent.do(name, message=away, duration_s=0.2))["stopped"]
         told = await count(arm, COMMANDS, 3)
         assert [list(m.velocity) for m in told] == [[], [0.5], [0.0]]

@@ -23,7 +23,7 @@ def with_rates(**rates: list[float]) -> dict[str, Any]:
 
 
 def test_a_trajectory_within_all_limits_passes(make_gate, ask, endpoints) -> None:
-    value = trajectory((0.5, [1.0, 0.5]), (1.5, [-1.0, 0.5]))
+    value = trajectory((0.8, [1.0, 0.5]), (2.3, [-1.0, 0.5]))
     assert make_gate().check(ask(endpoints["trajectory"], value)).may_send
 
 
@@ -107,4 +107,7 @@ def test_what_passes_never_exceeds_a_limit(make_gate, ask, endpoints, steps) -> 
         passed = make_gate().check(ask(endpoints["trajectory"], trajectory(*points))).may_send
     except RefusedError:
         passed = False
-    assert passed == possible or close
+    needed = 4.0 * np.abs(np.diff(path, axis=0)) / np.array([dt for dt, _ in steps])[:, None] ** 2
+    assert possible or close or not passed
+    if possible and not close and (needed < 9.99).all():  # from rest to rest, so that no acceleration is too high
+        assert passed

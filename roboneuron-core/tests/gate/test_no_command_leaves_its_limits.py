@@ -19,6 +19,7 @@ from roboneuron.contract import (
     JointSample,
     Pose,
     Posture,
+    Proximity,
     RobotProfile,
     Workspace,
 )
@@ -53,13 +54,13 @@ def profile(*, braking: bool = False) -> RobotProfile:
 
 def inspect(joints: JointSample) -> Posture:
     """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" when folded beyond 2.4 rad."""
-    a, b = joints.position.tolist()
+    a, b = joints.position[:2].tolist()
     x, z = 0.5 * math.cos(a) + 0.5 * math.cos(a + b), 0.5 * math.sin(a) + 0.5 * math.sin(a + b)
     turn = matrix_from_rotvec(np.array([0.0, -(a + b), 0.0]))
     return Posture(
         pose=Pose(position_m=np.array([x, 0.0, z]), quaternion_xyzw=quaternion_from_matrix(turn)),
         smallest_singular_value=0.3 * abs(math.sin(b)),
-        contact="link1 and link2" if b > 2.4 else "",
+        near=(Proximity(first="link1", second="link2", distance_m=(2.4 - b) / 10.0, least_m=0.0),) if b > 2.4 else (),
     )
 
 

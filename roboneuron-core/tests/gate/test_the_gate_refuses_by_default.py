@@ -120,7 +120,7 @@ def test_too_many_calls_are_refused_and_refusals_do_not_count(make_gate, ask, en
             gate.check(ask(endpoints["velocity"], {"linear": {"x": 2.0}}))
     for _ in range(5):
         gate.check(ask(endpoints["velocity"], FORWARD))
-    with pytest.raises(RefusedError, match="Too many calls"):
+    with pytest.raises(RefusedError, match="Too many messages"):
         gate.check(ask(endpoints["velocity"], FORWARD))
     assert gate.check(ask(endpoints["velocity"], FORWARD, repeated=True)).may_send
     clock.now_s += 1.0
@@ -132,7 +132,7 @@ def test_a_changed_allow_list_keeps_counting(make_gate, ask, endpoints) -> None:
     for _ in range(5):
         gate.check(ask(endpoints["velocity"], FORWARD))
     gate.replace(gate.allowed())
-    with pytest.raises(RefusedError, match="Too many calls"):
+    with pytest.raises(RefusedError, match="Too many messages"):
         gate.check(ask(endpoints["velocity"], FORWARD))
     gate.replace(())
     with pytest.raises(RefusedError, match="robots: none"):

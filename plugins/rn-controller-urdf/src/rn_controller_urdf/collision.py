@@ -1,55 +1,74 @@
-"""Self-collision of a URDF arm, by pinocchio's collision library on the URDF's own collision shapes."""
+"""Distances of a URDF arm's links to each other and to obstacles, by coal on the URDF's own collision shapes."""
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import RobotProfile
-from roboneuron.errors import ConfigurationError
+from roboneuron.contract import CollisionProfile, JointSample, Proximity, RobotProfile
+from roboneuron.errors import ConfigurationError, UnsafeError
 
 F64 = NDArray[np.float64]
 
+_TOUCH_M = 5e-4
+"""What tool links keep from obstacles: rounding, and what a path bends between two checked postures."""
 
-class SelfCollision:
-    """Tells which links touch; used from one thread.
 
-    Links of one joint and of neighbouring joints are not compared, nor links that touch at the profile's home posture:
-    their shapes overlap by construction. Joints that are not the arm's stay at zero, or at the limit next to it. Only
-    boxes, cylinders, spheres and capsules count: meshes are refused.
+class CollisionModel:
+    """Tells which links are too near to each other or to an obstacle; used from one thread.
+
+    Links of one joint and links that a joint connects are not compared, nor fingers of one hand, nor links that touch
+    each other at the profile's home posture, nor a base that stands on an obstacle: these overlap by construction.
+    Only boxes, cylinders, spheres and capsules count: meshes are refused. Joints that a sample does not name stay at
+    zero, or at the limit next to it; mimic joints follow.
     """
 
-    def __init__(self, profile: RobotProfile, *, margin_m: float) -> None:
+    def __init__(self, profile: RobotProfile, collision: CollisionProfile) -> None:
         """Build the shapes.
 
         Raises:
-            ConfigurationError: the URDF has no collision shapes, meshes among them, or no pair that could touch.
+            ConfigurationError: meshes among the collision shapes, an unknown tool link, or no pair that could touch.
         """
         import pinocchio  # heavy
 
-        if "<mesh" in profile.urdf.partition("<collision")[2]:
+        root = ET.fromstring(profile.urdf)
+        if any(shape.find("geometry/mesh") is not None for shape in root.iter("collision")):
             raise ConfigurationError(
-                f"Robot {profile.name!r}: its description has meshes, self_collision needs boxes, cylinders or spheres."
+                f"Robot {profile.name!r}: its description has meshes, collision checks need boxes, cylinders or "
+                "spheres.",
+                hint="Set limits.collision = false to go without.",
             )
         self._pin: Any = pinocchio
+        self._collision = collision
         self._model = pinocchio.buildModelFromXML(profile.urdf)
         self._data = self._model.createData()
         self._shapes = pinocchio.buildGeomFromUrdfString(self._model, profile.urdf, pinocchio.GeometryType.COLLISION)
+        self._links = [str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects]
+        self._base = self._place_base(profile.base_link)
+        self._add_obstacles()
         self._rest: F64 = np.clip(
             pinocchio.neutral(self._model), self._model.lowerPositionLimit, self._model.upperPositionLimit
         )
-        self._index: dict[tuple[str, ...], list[int]] = {}
-        self._choose_pairs()
-        self._contacts = self._new_contacts(margin_m)
+        self._mimics = _mimics(root)
+        self._order: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
+        self._check_tools()
+        self._choose_pairs(root)
+        self._prepare()
         if profile.home_rad is not None:
-            for pair in self._touching(self._full(profile.arm_joints, profile.home_rad)):
+            home = self._full(JointSample(names=profile.arm_joints, position=profile.home_rad))
+            self._measure(home)
+            own = len(self._links) - len(collision.obstacles)
+            touching = [pair for pair, _, distance_m in self._results() if pair.second < own and distance_m <= 0.0]
+            for pair in touching:
                 self._shapes.removeCollisionPair(pair)
-            self._contacts = self._new_contacts(margin_m)
+            self._prepare()
         if not len(self._shapes.collisionPairs):
             raise ConfigurationError(
-                f"Robot {profile.name!r}: no two links of its description have collision shapes that could touch."
+                f"Robot {profile.name!r}: no two links of its description have collision shapes that could touch.",
+                hint="Set limits.collision = false to go without.",
             )
 
     @property
@@ -57,46 +76,116 @@ class SelfCollision:
         """How many pairs of shapes are compared."""
         return len(self._shapes.collisionPairs)
 
-    def contact(self, names: tuple[str, ...], position: F64) -> str:
-        """ "link and link" for the first two that touch with the joints `names` at `position` (n,); empty for none."""
-        full = self._full(names, position)
+    def near(self, joints: JointSample) -> tuple[Proximity, ...]:
+        """Every pair of bodies that is nearer than allowed, each once with its smallest distance."""
+        full = self._full(joints)
         if not self._pin.computeCollisions(self._model, self._data, self._shapes, self._contacts, full, True):
-            return ""
-        pair = self._touched()[0]
-        return f"{self._link(pair.first)} and {self._link(pair.second)}"
+            return ()
+        self._measure(full)
+        found: dict[tuple[str, str], Proximity] = {}
+        for pair, least_m, distance_m in self._results():
+            names = (self._links[pair.first], self._links[pair.second])
+            if distance_m < least_m and (names not in found or distance_m < found[names].distance_m):
+                found[names] = Proximity(first=names[0], second=names[1], distance_m=distance_m, least_m=least_m)
+        return tuple(found.values())
 
-    def _new_contacts(self, margin_m: float) -> Any:
-        contacts = self._shapes.createData()
-        for request in contacts.collisionRequests:
-            request.security_margin = margin_m
-        return contacts
+    def _place_base(self, base_link: str) -> Any:
+        """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
+        pin = self._pin
+        frame = self._model.getFrameId(base_link)
+        pin.framesForwardKinematics(self._model, self._data, pin.neutral(self._model))
+        return self._data.oMf[frame].copy()
 
-    def _touching(self, full: F64) -> list[Any]:
-        self._pin.computeCollisions(self._model, self._data, self._shapes, self._contacts, full, False)
-        return self._touched()
+    def _add_obstacles(self) -> None:
+        import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
 
-    def _touched(self) -> list[Any]:
-        """Pairs found by the last call of computeCollisions; copies, since removing one moves the others."""
+        for obstacle in self._collision.obstacles:
+            size = (obstacle.upper_m - obstacle.lower_m).tolist()
+            centre = self._pin.SE3(np.eye(3), (obstacle.upper_m + obstacle.lower_m) / 2.0)
+            shape = self._pin.GeometryObject(
+                obstacle.name, 0, self._model.getFrameId("universe"), self._base * centre, coal.Box(*size)
+            )
+            self._shapes.addGeometryObject(shape)
+            self._links.append(obstacle.name)
+
+    def _check_tools(self) -> None:
+        unknown = [name for name in self._collision.tool_links if name not in self._links]
+        if unknown:
+            raise ConfigurationError(f"The tool link {unknown[0]!r} has no collision shape in the robot description.")
+
+    def _choose_pairs(self, root: ET.Element) -> None:
+        neighbours = {frozenset((_link(j, "parent"), _link(j, "child"))) for j in root.findall("joint")}
+        shapes, parents = self._shapes.geometryObjects, self._model.parents
+        own = len(shapes) - len(self._collision.obstacles)
+        for first in range(own):
+            for second in range(first + 1, len(shapes)):
+                a, b = shapes[first].parentJoint, shapes[second].parentJoint
+                if second < own:
+                    siblings = a > 0 and b > 0 and parents[a] == parents[b]
+                    if a == b or siblings or frozenset((self._links[first], self._links[second])) in neighbours:
+                        continue
+                elif a == 0:  # what does not move cannot come near an obstacle
+                    continue
+                self._shapes.addCollisionPair(self._pin.CollisionPair(first, second))
+
+    def _prepare(self) -> None:
+        """Scratch memory, and the distance that each pair has to keep."""
+        self._contacts = self._shapes.createData()
+        obstacles = {obstacle.name for obstacle in self._collision.obstacles}
+        self._least: list[float] = []
+        for pair, request in zip(self._shapes.collisionPairs, self._contacts.collisionRequests, strict=True):
+            is_tool = self._links[pair.first] in self._collision.tool_links
+            is_close = is_tool and self._links[pair.second] in obstacles
+            least_m = self._collision.min_distance_m
+            self._least.append(min(_TOUCH_M, least_m) if is_close else least_m)
+            request.security_margin = self._least[-1]
+
+    def _measure(self, full: F64) -> None:
+        self._pin.computeDistances(self._model, self._data, self._shapes, self._contacts, full)
+
+    def _results(self) -> list[tuple[Any, float, float]]:
+        """Pair, least distance and distance [m] of the last `_measure`; copies, as removing one moves others."""
         return [
-            self._pin.CollisionPair(pair.first, pair.second)
-            for pair, result in zip(self._shapes.collisionPairs, self._contacts.collisionResults, strict=True)
-            if result.isCollision()
+            (self._pin.CollisionPair(pair.first, pair.second), least_m, float(result.min_distance))
+            for pair, least_m, result in zip(
+                self._shapes.collisionPairs, self._least, self._contacts.distanceResults, strict=True
+            )
         ]
 
-    def _choose_pairs(self) -> None:
-        shapes, parents = self._shapes.geometryObjects, self._model.parents
-        for first, one in enumerate(shapes):
-            for second in range(first + 1, len(shapes)):
-                a, b = one.parentJoint, shapes[second].parentJoint
-                if a != b and parents[a] != b and parents[b] != a and parents[a] != parents[b]:
-                    self._shapes.addCollisionPair(self._pin.CollisionPair(first, second))
-
-    def _full(self, names: tuple[str, ...], position: F64) -> F64:
-        if names not in self._index:
-            self._index[names] = [int(self._model.joints[self._model.getJointId(name)].idx_q) for name in names]
+    def _full(self, joints: JointSample) -> F64:
+        names, source, place = self._order
+        if names != joints.names:
+            known = [(i, name) for i, name in enumerate(joints.names) if self._model.existJointName(name)]
+            source = [i for i, _ in known]
+            place = [int(self._model.joints[self._model.getJointId(name)].idx_q) for _, name in known]
+            self._order = (joints.names, source, place)
+        position = np.asarray(joints.position, dtype=np.float64)[source]
+        if not np.isfinite(position).all():
+            raise UnsafeError(f"A joint is not finite: {dict(zip(joints.names, joints.position, strict=False))}.")
         full = self._rest.copy()
-        full[self._index[names]] = position
+        full[place] = position
+        for follower, leader, multiplier, offset in self._mimics:
+            full[self._index(follower)] = multiplier * full[self._index(leader)] + offset
         return full
 
-    def _link(self, shape: int) -> str:
-        return str(self._model.frames[self._shapes.geometryObjects[shape].parentFrame].name)
+    def _index(self, joint: str) -> int:
+        return int(self._model.joints[self._model.getJointId(joint)].idx_q)
+
+
+def _link(joint: ET.Element, role: str) -> str:
+    element = joint.find(role)
+    return "" if element is None else element.get("link", "")
+
+
+def _mimics(root: ET.Element) -> list[tuple[str, str, float, float]]:
+    """Follower, leader, multiplier and offset of the mimic joints."""
+    return [
+        (
+            joint.get("name", ""),
+            mimic.get("joint", ""),
+            float(mimic.get("multiplier", "1")),
+            float(mimic.get("offset", "0")),
+        )
+        for joint in root.findall("joint")
+        if (mimic := joint.find("mimic")) is not None
+    ]

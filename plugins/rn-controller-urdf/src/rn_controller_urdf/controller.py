@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_controller_urdf.collision import SelfCollision
+from rn_controller_urdf.collision import CollisionModel
 from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import ArmModel, build_arm_model
 from rn_controller_urdf.options import UrdfControllerOptions
@@ -58,7 +58,7 @@ class UrdfController:
         self._model: ArmModel | None = None
         self._solver: InverseKinematics | None = None
         self._viewer: InverseKinematics | None = None
-        self._collision: SelfCollision | None = None
+        self._collision: CollisionModel | None = None
         self._bounds: tuple[JointBounds, ...] | None = None
         self._order: tuple[tuple[str, ...], list[int]] = ((), [])
 
@@ -72,8 +72,8 @@ class UrdfController:
         self._bounds = joint_bounds(self._options, self._model)
         self._solver = InverseKinematics(self._model)
         self._viewer = InverseKinematics(self._model)
-        if self._options.self_collision:
-            self._collision = SelfCollision(self._profile, margin_m=self._options.self_collision_margin_m)
+        if self._profile.collision is not None:
+            self._collision = CollisionModel(self._profile, self._profile.collision)
 
     def forward(self, joints: JointSample) -> Pose:
         """TCP pose in the base frame, stamped as the joints are.
@@ -86,15 +86,14 @@ class UrdfController:
         return _pose(viewer, position, joints.stamp_ns)
 
     def inspect(self, joints: JointSample) -> Posture:
-        """TCP pose, smallest singular value and, with the option `self_collision`, contacts. Raises as `forward`."""
+        """TCP pose, smallest singular value and, where the profile asks, what is too near. Raises as `forward`."""
         viewer, position = self._viewed(joints)
-        assert self._model is not None
         return Posture(
             pose=_pose(viewer, position, joints.stamp_ns),
             smallest_singular_value=viewer.smallest_singular_value(
                 position, track_rotation=self._options.track == "pose"
             ),
-            contact=None if self._collision is None else self._collision.contact(self._model.joints, position),
+            near=None if self._collision is None else self._collision.near(joints),
         )
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:

@@ -41,9 +41,3 @@ class UrdfControllerOptions(BaseModel):
         default=0.001, ge=0, description="How far outside its limits a prismatic joint may be measured [m]."
     )
     max_iterations: int = Field(default=40, ge=1, le=1000, description="Iterations of the solver before it gives up.")
-    self_collision: bool = Field(
-        default=False, description="Check the URDF's collision shapes against each other before every command."
-    )
-    self_collision_margin_m: float = Field(
-        default=0.01, ge=0, le=0.2, description="Links closer than this count as touching [m]."
-    )

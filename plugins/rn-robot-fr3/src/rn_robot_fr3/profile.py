@@ -9,7 +9,7 @@ import numpy as np
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.description import BASE_LINK, TCP_LINK, urdf
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
-from roboneuron.contract import Endpoint, GripperProfile, RobotProfile, Workspace
+from roboneuron.contract import CollisionProfile, Endpoint, GripperProfile, Obstacle, RobotProfile, Workspace
 
 HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 """The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""
@@ -17,6 +17,11 @@ HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi 
 WORKSPACE_LOWER_M = (0.22, -0.45, 0.010)
 """At the lowest TCP height the fingertips, 9 mm beyond the TCP, are still above the table."""
 WORKSPACE_UPPER_M = (0.75, 0.45, 0.75)
+
+MIN_DISTANCE_M = 0.01
+TABLE_LOWER_M, TABLE_UPPER_M = (-0.30, -0.60, -0.60), (1.00, 0.60, 0.00)
+"""The table that the arm stands on, as in `world.py`, and what is below it."""
+FINGER_LINKS = ("fr3_leftfinger", "fr3_rightfinger")
 
 
 def _endpoints() -> tuple[Endpoint, ...]:
@@ -70,6 +75,11 @@ def profile() -> RobotProfile:
         home_rad=np.array(HOME_RAD),
         gripper=GripperProfile(joint=FINGER_JOINT, closed_position=0.0, open_position=FINGER_OPEN_M),
         cameras=tuple(camera.profile() for camera in cameras()),
+        collision=CollisionProfile(
+            min_distance_m=MIN_DISTANCE_M,
+            obstacles=(Obstacle(name="table", lower_m=np.array(TABLE_LOWER_M), upper_m=np.array(TABLE_UPPER_M)),),
+            tool_links=FINGER_LINKS,
+        ),
         workspace=Workspace(lower_m=np.array(WORKSPACE_LOWER_M), upper_m=np.array(WORKSPACE_UPPER_M)),
         endpoints=_endpoints(),
     )

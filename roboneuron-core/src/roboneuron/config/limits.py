@@ -1,4 +1,4 @@
-"""`[limits]`: what control may send."""
+"""`[limits]`: what may be sent to the arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboneuron.config.section import Point, Reaction, Section, Share
 
 
 class ZoneConfig(Section):
-    """One entry of `limits.zones`."""
+    """One entry of `limits.zones` or `limits.obstacles`."""
 
     name: str = Field(min_length=1, max_length=64, description="named in reports")
     lower_m: Point = Field(description="corner [x, y, z] in the base frame")
@@ -18,7 +18,7 @@ class ZoneConfig(Section):
 
 
 class LimitsConfig(Section):
-    """`[limits]`: what control may send, whatever it is asked; see docs/safety.md."""
+    """`[limits]`: what may be sent to the arm, by actions or by joint commands; see docs/safety.md."""
 
     velocity_fraction: Share = Field(default=1.0, description="share of the joints' velocity limits in use")
     acceleration_fraction: Share = Field(default=1.0, description="share of their acceleration limits in use")
@@ -45,6 +45,15 @@ class LimitsConfig(Section):
     min_singular_value: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.02, description="distance from a singularity: smallest singular value of the TCP's Jacobian"
     )
+    collision: bool = Field(default=True, description="keep links away from each other and from obstacles")
+    min_distance_m: Annotated[float, Field(ge=0, le=0.2)] | None = Field(
+        default=None, description="least distance between links, and to obstacles; the robot's own when not given"
+    )
+    obstacles: tuple[ZoneConfig, ...] | None = Field(
+        default=None,
+        strict=False,
+        description="boxes that no link may touch, as `zones`; the robot's own (its table) when not given",
+    )
     on_position: Reaction = Field(default="hold", description="a joint's position limit")
     on_velocity: Reaction = Field(default="scale", description="a joint's velocity limit")
     on_acceleration: Reaction = Field(default="scale", description="a joint's acceleration limit")
@@ -54,4 +63,4 @@ class LimitsConfig(Section):
     on_zone: Reaction = Field(default="hold", description="zones")
     on_height: Reaction = Field(default="hold", description="min_height_m")
     on_singularity: Reaction = Field(default="hold", description="min_singular_value")
-    on_collision: Reaction = Field(default="hold", description="self-collision, where the controller checks it")
+    on_collision: Reaction = Field(default="hold", description="min_distance_m between links, and to obstacles")

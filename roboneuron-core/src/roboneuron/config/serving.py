@@ -81,7 +81,7 @@ class ExposeConfig(Section):
         default=(), strict=False, description="of kind parameters: those that agents may use, besides those in bounds"
     )
     bounds: dict[str, Range] = Field(default_factory=dict, description="[lowest, highest] by field path")
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most calls per second")
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="most messages per second")
     clamp: tuple[str, ...] = Field(default=(), strict=False, description="fields that are clamped instead of refused")
     nonfinite: tuple[str, ...] = Field(default=(), strict=False, description="fields that may hold NaN and infinities")
     stop_message: Literal["", "zero"] | dict[str, Any] = Field(
@@ -103,7 +103,7 @@ class DiscoverConfig(Section):
     )
     robot: Name | None = Field(default=None, description="whose it is; the configured robot when not given")
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
-        default=10.0, description="most calls per second of each endpoint"
+        default=10.0, description="most messages per second of each endpoint"
     )
     limits: dict[str, dict[str, Range]] = Field(
         default_factory=dict,

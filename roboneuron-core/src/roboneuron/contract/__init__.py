@@ -13,13 +13,15 @@ from roboneuron.contract.action import (
     check_action_vector,
 )
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
-from roboneuron.contract.motion import Hold, JointCommand, Posture, RobotState
+from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
     CameraProfile,
+    CollisionProfile,
     Endpoint,
     GripperProfile,
     JointLimits,
+    Obstacle,
     RobotProfile,
     Workspace,
 )
@@ -46,6 +48,7 @@ __all__ = [
     "Backend",
     "CameraCalibration",
     "CameraProfile",
+    "CollisionProfile",
     "Controller",
     "Endpoint",
     "Frame",
@@ -55,10 +58,12 @@ __all__ = [
     "JointLimits",
     "JointSample",
     "Observation",
+    "Obstacle",
     "PerceptionSource",
     "Pose",
     "Posture",
     "PostureInspector",
+    "Proximity",
     "RobotDriver",
     "RobotProfile",
     "RobotState",

@@ -44,6 +44,22 @@ class Hold:
     reason: str
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Proximity:
+    """Two bodies that are nearer to each other than they may be.
+
+    Attributes:
+        first, second: names of links or obstacles.
+        distance_m: between their shapes; negative when they overlap.
+        least_m: what has to stay between them.
+    """
+
+    first: str
+    second: str
+    distance_m: float
+    least_m: float
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Posture:
     """What a posture of the arm amounts to, as far as its controller can tell.
@@ -51,12 +67,12 @@ class Posture:
     Attributes:
         pose: of the TCP in the base frame.
         smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a singularity, None unknown.
-        contact: which links touch each other ("link1 and link5"); empty for none, None when that is not checked.
+        near: every pair nearer than the profile's `collision` allows, once; None when that is not checked.
     """
 
     pose: Pose
     smallest_singular_value: float | None = None
-    contact: str | None = None
+    near: tuple[Proximity, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

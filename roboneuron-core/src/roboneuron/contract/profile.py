@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -11,6 +13,19 @@ from numpy.typing import NDArray
 from roboneuron.contract.observation import CameraCalibration
 
 F64 = NDArray[np.float64]
+
+ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
+"""Distance from its target at which a revolute and a prismatic joint count as there."""
+
+
+@functools.lru_cache(maxsize=16)
+def prismatic_joints(urdf: str) -> frozenset[str]:
+    """Names of the joints of a URDF whose positions are metres; empty for what is no URDF."""
+    try:
+        root = ET.fromstring(urdf)
+    except ET.ParseError:
+        return frozenset()
+    return frozenset(joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -94,6 +109,30 @@ class Workspace:
     upper_m: F64
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Obstacle:
+    """A box in the base frame that no link may touch; float64 (3,) [m]."""
+
+    name: str
+    lower_m: F64
+    upper_m: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CollisionProfile:
+    """What the arm must not touch; its own shapes are the collision elements of the URDF.
+
+    Attributes:
+        min_distance_m: least distance between links that do not share a joint, and between links and obstacles.
+        obstacles: what stands around the arm and does not move.
+        tool_links: links that work close to obstacles, such as fingers: they only must not touch them.
+    """
+
+    min_distance_m: float = 0.01
+    obstacles: tuple[Obstacle, ...] = ()
+    tool_links: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
     """A ROS interface of the robot that the agent may use directly.
@@ -105,7 +144,7 @@ class Endpoint:
         type: "package/msg/Name", "package/srv/Name" or "package/action/Name".
         summary: one line for the agent.
         bounds: dotted field path -> (lowest, highest) value, in the field's own unit.
-        rate_hz: most calls per second; 0 means no bound.
+        rate_hz: most messages per second; 0 means no bound.
         stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
         min_turning_radius_m: of a base that steers like a car; its twists obey `check_twist`. 0: it turns on the spot.
@@ -140,6 +179,7 @@ class RobotProfile:
         gripper: None without one.
         cameras: what the robot sees with.
         workspace: None when nothing but the joint limits bounds the TCP.
+        collision: None when links and obstacles are not checked by default.
         endpoints: what the agent may use on the direct path.
     """
 
@@ -153,7 +193,15 @@ class RobotProfile:
     gripper: GripperProfile | None = None
     cameras: tuple[CameraProfile, ...] = ()
     workspace: Workspace | None = None
+    collision: CollisionProfile | None = None
     endpoints: tuple[Endpoint, ...] = ()
+
+    def tolerance(self, joint: str) -> float:
+        """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a gripper's travel."""
+        arrived = ARRIVED_M if joint in prismatic_joints(self.urdf) else ARRIVED_RAD
+        if self.gripper is not None and joint == self.gripper.joint:
+            return min(arrived, abs(self.gripper.open_position - self.gripper.closed_position) / 40.0)
+        return arrived
 
     def camera(self, name: str) -> CameraProfile | None:
         """The camera of that name, or None."""

@@ -168,10 +168,17 @@ class Controller(Protocol):
 
 @runtime_checkable
 class PostureInspector(Protocol):
-    """What a controller may offer beside `Controller`, so that singularities and self-collisions can be limited."""
+    """What a controller may offer beside `Controller`, so that singularities and collisions can be limited.
+
+    The control module asks it about every command; the server asks an instance of its own about joint motions.
+    """
 
     def inspect(self, joints: JointSample) -> Posture:
-        """Return what holds in a posture, measured or planned. Raises UnsafeError as `Controller.forward`."""
+        """Return what holds in a posture, measured or planned, by the `collision` of the profile it was built with.
+
+        Joints beside the arm's (a gripper's) count where `joints` names them. Raises UnsafeError as
+        `Controller.forward`.
+        """
         ...
 
 

@@ -6,14 +6,16 @@ that does not hold refuses and does not count against the rate. Refuse by defaul
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from roboneuron.errors import RefusedError
+from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch, LatchState
-from roboneuron.gate.joints import JOINT_TYPES, check_joints
+from roboneuron.gate.joints import check_joints, joint_commands, joint_limits
 from roboneuron.gate.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
+from roboneuron.gate.motion import Leg, LimitError
 from roboneuron.gate.rate import RateLimit
 from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp, GateRequest, Verdict, has_role
 
@@ -156,21 +158,54 @@ class Gate:
         if endpoint.kind != "read":
             _apply("emergency_stop", self.latch.check)
         if not request.repeated:
-            self._check_rate(rate, endpoint.name, dry_run)
+            self._check_rate(rate, request, dry_run)
         return tuple(clamped)
 
     def _check_joints(self, entry: AllowedEndpoint, request: GateRequest) -> None:
         if not entry.endpoint.joint_limited:
             return
-        if entry.profile is None or entry.endpoint.type not in JOINT_TYPES:
-            text = f"The joint limits of {entry.endpoint.name!r} cannot be checked for {entry.endpoint.type}."
-            raise _Refusal("joints", RefusedError(text))
-        _apply("joints", check_joints, entry.profile, request.messages, request.joints, request.durations_s)
+        legs = _apply("joints", _legs, entry, request)
+        if entry.path is None or request.joints is None:
+            return
+        try:
+            entry.path().check(legs, request.joints)
+        except LimitError as error:
+            raise _Refusal(error.limit, error) from error
+        except RoboNeuronError as error:
+            raise _Refusal("kinematics", _unjudged(error)) from error
 
-    def _check_rate(self, rate: RateLimit, name: str, dry_run: bool) -> None:
-        wait_s = rate.wait_s() if dry_run else rate.take()
-        if wait_s > 0.0:
-            raise _Refusal("rate", RefusedError(f"Too many calls of {name!r}.", hint=f"Wait {wait_s:.2f} s."))
+    def slowdown(self, request: GateRequest) -> float:
+        """How many times the request's time the TCP needs to keep to its speeds, at least 1.
+
+        Raises:
+            RefusedError: the way cannot be judged.
+        """
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is None or found[0].path is None or request.joints is None:
+            return 1.0
+        try:
+            return found[0].path().slowdown(_legs(found[0], request), request.joints)
+        except RefusedError:
+            raise
+        except RoboNeuronError as error:
+            raise _unjudged(error) from error
+
+    def release(self, request: GateRequest) -> None:
+        """Messages of the request that were to be sent later will not be; they no longer count against the rate."""
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is not None:
+            found[1].release(request)
+
+    def _check_rate(self, rate: RateLimit, request: GateRequest, dry_run: bool) -> None:
+        times_s = request.send_at_s or (0.0,) * max(1, len(request.messages))
+        wait_s = rate.wait_s(times_s) if dry_run else rate.take(times_s, request)
+        if wait_s == 0.0:
+            return
+        name = request.endpoint
+        if math.isinf(wait_s):
+            text = f"The messages for {name!r} follow each other faster than its {rate.rate_hz:g} per second."
+            raise _Refusal("rate", RefusedError(text, hint="Give the steps more time."))
+        raise _Refusal("rate", RefusedError(f"Too many messages for {name!r}.", hint=f"Wait {wait_s:.2f} s."))
 
     def _write(self, request: GateRequest, verdict: Verdict) -> None:
         words = ("would_refuse", "would_allow") if verdict.dry_run else ("refused", "allowed")
@@ -198,6 +233,19 @@ class Gate:
             self.audit.write(record)
         except RefusedError:
             return
+
+
+def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
+    """The way of the joints that a request asks for; raises RefusedError as `check_joints`."""
+    commands = [command for message in request.messages for command in joint_commands(message)]
+    if entry.profile is None or not commands:
+        raise RefusedError(f"The joint limits of {entry.endpoint.name!r} cannot be checked for {entry.endpoint.type}.")
+    durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
+    return check_joints(joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s)
+
+
+def _unjudged(error: RoboNeuronError) -> RefusedError:
+    return RefusedError(f"The way of the arm cannot be judged: {error.message}", hint=error.hint)
 
 
 def _apply(rule: str, check: Callable[..., Any], *arguments: Any) -> Any:

@@ -1,16 +1,20 @@
-"""Joint limits for JointTrajectory and JointState commands: names, positions, velocities, times, the first step."""
+"""Joint limits for JointTrajectory and JointState commands: names, positions, velocities, accelerations, times."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from roboneuron.contract import JointSample, RobotProfile
 from roboneuron.errors import RefusedError
+from roboneuron.gate.acceleration import Speeds, shortest_s
+from roboneuron.gate.fields import is_message, type_name_of
 from roboneuron.gate.motion.joint_space import braking_velocity
+from roboneuron.gate.motion.path import Leg
+from roboneuron.gate.motion.rules import MotionRules
 
 TOLERANCE = 1e-6
 """Relative; limits are printed and parsed as decimals on the way."""
@@ -43,17 +47,30 @@ class JointLimit:
         )
 
 
-def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
-    """Limits by joint name: the arm's, and the gripper's travel."""
+def joint_commands(message: Any) -> Iterator[Any]:
+    """The joint commands in a message, goal or request: itself, or those that it holds at any depth."""
+    if type_name_of(message) in JOINT_TYPES:
+        yield message
+        return
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        for item in value if isinstance(value, list | tuple) else (value,):
+            if is_message(item):
+                yield from joint_commands(item)
+
+
+def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
+    """Limits by joint name: the arm's, in the shares that `rules` allow, and the gripper's travel."""
     found: dict[str, JointLimit] = {}
+    velocity, acceleration = (rules.velocity_fraction, rules.acceleration_fraction) if rules is not None else (1.0, 1.0)
     if profile.limits is not None:
         arrays = profile.limits
         for i, name in enumerate(profile.arm_joints):
             found[name] = JointLimit(
                 lower=float(arrays.lower[i]),
                 upper=float(arrays.upper[i]),
-                velocity=float(arrays.velocity[i]),
-                acceleration=float(arrays.acceleration[i]),
+                velocity=float(arrays.velocity[i]) * velocity,
+                acceleration=float(arrays.acceleration[i]) * acceleration,
                 effort=float(arrays.effort[i]),
                 braking=None
                 if arrays.braking_offset is None or arrays.braking_deceleration is None
@@ -69,15 +86,19 @@ def joint_limits(profile: RobotProfile) -> dict[str, JointLimit]:
 
 
 def check_joints(
-    profile: RobotProfile, messages: Sequence[Any], joints: JointSample | None, durations_s: Sequence[float] = ()
-) -> None:
-    """Raise unless the arm can follow the commands, one after the other, within its limits.
+    limits: Mapping[str, JointLimit],
+    messages: Sequence[Any],
+    joints: JointSample | None,
+    durations_s: Sequence[float] = (),
+) -> list[Leg]:
+    """Raise unless the joints can follow the commands, one after the other, within their limits; return their way.
 
-    A trajectory must reach each point with the joints' own velocities. The first step begins where the joints are
-    measured, that of each further command where the one before ends.
+    A trajectory must reach each point with the joints' own velocities and accelerations, and rest at the end of the
+    last command. The first step begins where the joints are measured, as fast as they are measured; that of each
+    further command where the one before ends.
 
     Args:
-        profile: the robot's.
+        limits: by joint.
         messages: JointTrajectory or JointState.
         joints: newest measured joints.
         durations_s: how long each command lasts [s]; without, JointState is not checked for how fast it is reached.
@@ -85,22 +106,90 @@ def check_joints(
     Raises:
         RefusedError: says which joint, what was asked, what is allowed.
     """
-    limits = joint_limits(profile)
     before = joints
+    motion = _Motion(limits, joints)
+    legs: list[Leg] = []
     for index, message in enumerate(messages):
         lasts_s = durations_s[index] if durations_s else None
+        step = f"steps[{index}]: " if len(messages) > 1 else ""
         try:
             if hasattr(message, "points"):
-                _check_trajectory(limits, message, before)
+                made = _check_trajectory(limits, message, before)
                 _check_time(message, lasts_s)
             else:
-                _check_state(limits, message, before, lasts_s)
+                made = _check_state(limits, message, before, lasts_s)
+            is_steady = _is_velocity(message)
+            motion.go(made, before, is_steady=is_steady)
+            is_last = index + 1 == len(messages)
+            if not is_steady and (is_last or (lasts_s or 0.0) > sum(leg.duration_s or 0.0 for leg in made)):
+                motion.end(made, before)
         except RefusedError as error:
-            if len(messages) == 1:
-                raise
-            raise RefusedError(f"steps[{index}]: {error.message}", hint=error.hint) from error
+            raise RefusedError(f"{step}{error.message}", hint=error.hint) from error
+        legs += [replace(leg, where=f"{step}{leg.where}") for leg in made]
         if index + 1 < len(messages):
             before = _after(message, before, lasts_s)
+    return legs
+
+
+class _Motion:
+    """Which velocities the joints can have after the commands so far: accelerations that these imply."""
+
+    def __init__(self, limits: Mapping[str, JointLimit], joints: JointSample | None) -> None:
+        self._limits = limits
+        self._speeds: dict[str, Speeds] = {}
+        if joints is not None and joints.velocity is not None:
+            for name, velocity in zip(joints.names, joints.velocity.tolist(), strict=True):
+                if np.isfinite(velocity):
+                    self._speeds[name] = Speeds(velocity, velocity)
+
+    def go(self, legs: Sequence[Leg], before: JointSample | None, *, is_steady: bool) -> None:
+        """Follow a command's legs; raises RefusedError for a joint that cannot."""
+        starts: dict[str, float] = {}
+        for leg in legs:
+            if not leg.duration_s:
+                continue
+            starts = starts or dict(zip(leg.names, _measured(leg.names, before), strict=True))
+            for index, name in enumerate(leg.names):
+                limit, end = self._limits[name], float(leg.position[index])
+                old = self._speeds.get(name, Speeds(0.0, 0.0))
+                distance = end - starts[name]
+                starts[name] = end
+                if is_steady:
+                    mean = distance / leg.duration_s
+                    room = limit.acceleration * leg.duration_s * (1.0 + TOLERANCE)
+                    new = Speeds(mean, mean) if old.low - room <= mean <= old.high + room else None
+                else:
+                    new = old.after(distance, leg.duration_s, limit.acceleration, limit.velocity)
+                    if new is not None and leg.velocity is not None:
+                        new = new.at(float(leg.velocity[index]), TOLERANCE)
+                if new is None:
+                    raise _too_hard(leg.where, name, limit, distance)
+                self._speeds[name] = new
+
+    def end(self, legs: Sequence[Leg], before: JointSample | None) -> None:
+        """The joints rest after the last leg, unless it states a velocity; raises as `go`."""
+        if not legs or not legs[-1].duration_s or legs[-1].velocity is not None:
+            return
+        last = legs[-1]
+        starts = _measured(last.names, before) if len(legs) == 1 else legs[-2].position.tolist()
+        for index, name in enumerate(last.names):
+            if self._speeds[name].at(0.0, TOLERANCE) is None:
+                distance = float(last.position[index]) - starts[index]
+                raise _too_hard(last.where, name, self._limits[name], distance, " and rest there")
+            self._speeds[name] = Speeds(0.0, 0.0)
+
+
+def _too_hard(where: str, name: str, limit: JointLimit, distance: float, end: str = "") -> RefusedError:
+    return RefusedError(
+        f"{where}{name} cannot go {abs(distance):.4g} in that time{end}: its acceleration is at most "
+        f"{limit.acceleration:.4g} per second squared.",
+        hint=f"From rest to rest it needs {shortest_s(distance, limit.acceleration):.2f} s.",
+    )
+
+
+def _is_velocity(message: Any) -> bool:
+    """Whether this is a JointState of velocities only."""
+    return not hasattr(message, "points") and not len(message.position)
 
 
 def _check_time(trajectory: Any, lasts_s: float | None) -> None:
@@ -111,22 +200,27 @@ def _check_time(trajectory: Any, lasts_s: float | None) -> None:
 
 
 def _check_state(
-    limits: dict[str, JointLimit], message: Any, before: JointSample | None, lasts_s: float | None
-) -> None:
+    limits: Mapping[str, JointLimit], message: Any, before: JointSample | None, lasts_s: float | None
+) -> list[Leg]:
     """A JointState: its values, and that positions can be reached or velocities be kept for as long as it lasts."""
     names = _check_names(limits, message.name)
     if not (len(message.position) or len(message.velocity)):
         raise RefusedError("The joint command holds neither positions nor velocities.")
     _check_arrays(limits, names, message.position, message.velocity, (), message.effort, "")
+    if lasts_s is None and _is_velocity(message):
+        raise RefusedError("It is not known how long the velocities last, so that they cannot be checked.")
+    ends = _targets(message, before, lasts_s or 0.0)
+    leg = Leg(names=tuple(names), position=np.array(ends), duration_s=lasts_s)
     if lasts_s is None:
-        return
-    for name, start, end in zip(names, _measured(names, before), _targets(message, before, lasts_s), strict=True):
+        return [leg]
+    for name, start, end in zip(names, _measured(names, before), ends, strict=True):
         limit = limits[name]
         if not limit.lower - TOLERANCE <= end <= limit.upper + TOLERANCE:
             raise RefusedError(
                 f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {limit.lower:.4g} .. {limit.upper:.4g}."
             )
         _check_pace(limit, name, start, end, lasts_s, "")
+    return [leg]
 
 
 def _targets(message: Any, before: JointSample | None, lasts_s: float) -> list[float]:
@@ -160,7 +254,7 @@ def _check_pace(limit: JointLimit, name: str, start: float, end: float, within_s
         )
 
 
-def _check_names(limits: dict[str, JointLimit], names: Sequence[str]) -> Sequence[str]:
+def _check_names(limits: Mapping[str, JointLimit], names: Sequence[str]) -> Sequence[str]:
     if not names:
         raise RefusedError("The joint command names no joints.")
     unknown = [name for name in names if name not in limits]
@@ -172,7 +266,7 @@ def _check_names(limits: dict[str, JointLimit], names: Sequence[str]) -> Sequenc
 
 
 def _check_arrays(
-    limits: dict[str, JointLimit], names: Sequence[str],
+    limits: Mapping[str, JointLimit], names: Sequence[str],
     position: Any, velocity: Any, acceleration: Any, effort: Any, where: str,
 ) -> None:  # fmt: skip
     for word, values in (
@@ -192,11 +286,12 @@ def _check_arrays(
                 raise RefusedError(f"{where}{word} of {name} is {value:.4g}, allowed is {low:.4g} .. {high:.4g}.")
 
 
-def _check_trajectory(limits: dict[str, JointLimit], message: Any, joints: JointSample | None) -> None:
+def _check_trajectory(limits: Mapping[str, JointLimit], message: Any, joints: JointSample | None) -> list[Leg]:
     names = _check_names(limits, message.joint_names)
     if not 1 <= len(message.points) <= MAX_POINTS:
         raise RefusedError(f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}.")
     before, before_s = _measured(names, joints), 0.0
+    legs = []
     for index, point in enumerate(message.points):
         where = f"points[{index}]: "
         if len(point.positions) != len(names):
@@ -207,7 +302,18 @@ def _check_trajectory(limits: dict[str, JointLimit], message: Any, joints: Joint
             raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
         for name, start, end in zip(names, before, point.positions, strict=True):
             _check_pace(limits[name], name, start, end, at_s - before_s, where)
+        velocity = np.array(point.velocities) if len(point.velocities) else None
+        legs.append(
+            Leg(
+                names=tuple(names),
+                position=np.array(point.positions),
+                duration_s=at_s - before_s,
+                velocity=velocity,
+                where=where if len(message.points) > 1 else "",
+            )
+        )
         before, before_s = list(point.positions), at_s
+    return legs
 
 
 def _measured(names: Sequence[str], joints: JointSample | None) -> list[float]:

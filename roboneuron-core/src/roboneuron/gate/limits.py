@@ -36,7 +36,7 @@ class ConfiguredLimits:
 
     Attributes:
         bounds: field path -> (lowest, highest), within the profile's.
-        rate_hz: most calls per second, not above the profile's; None keeps it.
+        rate_hz: most messages per second, not above the profile's; None keeps it.
         clamp: field paths to clamp instead of refuse; each needs a bound.
     """
 
@@ -110,6 +110,13 @@ def number_fields(endpoint: Endpoint) -> list[str]:
         elif _is_number(part.type) and not path.startswith(tuple(times)):
             numbers.append(path)
     return numbers
+
+
+def sent_types(kind: str, type_name: str) -> set[str]:
+    """Types of the messages within what an endpoint of this kind and type is sent."""
+    message = _sent_message(Endpoint(name="", kind=kind, topic="", type=type_name, summary=""))
+    elements = (part.type.element if isinstance(part.type, Array) else part.type for _, part in message.walk())
+    return {element.message.type_name for element in elements if isinstance(element, Nested)}
 
 
 def _sent_message(endpoint: Endpoint) -> Message:

@@ -1,43 +1,65 @@
-"""At most so many calls per second."""
+"""Sliding-window rate limit that counts messages."""
 
 from __future__ import annotations
 
+import math
 import threading
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 
 class RateLimit:
-    """A sliding window over accepted calls of one endpoint; safe from any thread."""
+    """A sliding window over accepted messages of one endpoint, sent or still to be sent; safe from any thread."""
 
     def __init__(self, rate_hz: float, clock: Callable[[], float]) -> None:
         """Args:
-        rate_hz: most calls per second; 0 for no bound. Below 1 the window is as long as one call takes its turn.
+        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the time between two.
         clock: monotonic time [s].
         """
+        self.rate_hz = rate_hz
         self._window_s = max(1.0, 1.0 / rate_hz) if rate_hz else 0.0
         self._most = max(1, int(rate_hz * self._window_s + 1e-9)) if rate_hz else 0
         self._clock = clock
-        self._calls: deque[float] = deque()
+        self._sent: list[tuple[float, object]] = []
         self._lock = threading.Lock()
 
-    def wait_s(self) -> float:
-        """Seconds until another call would be accepted; 0 for now. Takes nothing."""
-        with self._lock:
-            return self._wait_s(self._clock())
+    def wait_s(self, at_s: Sequence[float] = (0.0,)) -> float:
+        """Seconds until messages would be accepted; 0 for now, infinite for never. Takes nothing.
 
-    def take(self) -> float:
-        """Count a call if it is accepted now; returns 0, or the seconds until it would be."""
+        Args:
+            at_s: when each is to be sent, in seconds from now, in order.
+        """
+        with self._lock:
+            return self._wait_s(self._clock(), at_s)
+
+    def take(self, at_s: Sequence[float] = (0.0,), owner: object = None) -> float:
+        """Count messages if all are accepted now; returns 0, or as `wait_s`."""
         with self._lock:
             now = self._clock()
-            wait = self._wait_s(now)
+            wait = self._wait_s(now, at_s)
             if wait == 0.0 and self._most:
-                self._calls.append(now)
+                self._sent += [(now + offset, owner) for offset in at_s]
+                self._sent.sort(key=lambda entry: entry[0])
             return wait
 
-    def _wait_s(self, now: float) -> float:
-        while self._calls and self._calls[0] <= now - self._window_s:
-            self._calls.popleft()
-        if not self._most or len(self._calls) < self._most:
+    def release(self, owner: object) -> None:
+        """Forget the owner's messages whose time has not come: they will not be sent."""
+        with self._lock:
+            now = self._clock()
+            self._sent = [entry for entry in self._sent if entry[0] <= now or entry[1] is not owner]
+
+    def _wait_s(self, now: float, at_s: Sequence[float]) -> float:
+        if not self._most:
             return 0.0
-        return max(1e-9, self._calls[0] + self._window_s - now)
+        self._sent = [entry for entry in self._sent if entry[0] > now - self._window_s]
+        if self._late(sorted(at_s)) is not None:
+            return math.inf
+        times = sorted([*(time for time, _ in self._sent), *(now + offset for offset in at_s)])
+        late = self._late(times)
+        return 0.0 if late is None else max(1e-9, late - now)
+
+    def _late(self, times: Sequence[float]) -> float | None:
+        """When the window of the last message that comes too early has passed; None when none does."""
+        most, window_s = self._most, self._window_s
+        pairs = zip(times, times[most:], strict=False)
+        late = [first + window_s for first, last in pairs if last - first < window_s - 1e-9]  # rounding of sums
+        return late[-1] if late else None

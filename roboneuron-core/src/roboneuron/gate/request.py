@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from roboneuron.contract import Endpoint, JointSample, RobotProfile
+from roboneuron.gate.motion import MotionRules, PathLimiter
 
 VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
 ROLES = (VIEWER, OPERATOR, ADMIN)
@@ -32,6 +33,9 @@ class AllowedEndpoint:
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
         topic: absolute name; entries of one topic and kind share its rate. Empty: the entry has a rate of its own.
+        rules: the numbers of `[limits]` for the robot; None for its profile's alone.
+        path: gives what judges joint motions of an arm in task space; None for robots without a TCP. Raises
+            RoboNeuronError when it cannot be had, and the motion is refused.
     """
 
     robot: str
@@ -40,6 +44,8 @@ class AllowedEndpoint:
     clamp: frozenset[str] = frozenset()
     nonfinite: frozenset[str] = frozenset()
     topic: str = ""
+    rules: MotionRules | None = None
+    path: Callable[[], PathLimiter] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -55,6 +61,7 @@ class GateRequest:
         arguments: what the agent sent, for the audit.
         joints: newest measured joints; needed by endpoints that are `joint_limited`.
         durations_s: how long each message lasts [s], where that is known; joints must get there within that time.
+        send_at_s: when each message is to be sent, in seconds from now; empty when `messages` go out at once.
         dry_run: only answer what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
@@ -68,6 +75,7 @@ class GateRequest:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     joints: JointSample | None = None
     durations_s: tuple[float, ...] = ()
+    send_at_s: tuple[float, ...] = ()
     dry_run: bool = False
     repeated: bool = False
 
@@ -89,8 +97,8 @@ class Verdict:
         allowed: nothing speaks against it.
         dry_run: it was only a question; nothing may be sent even if allowed.
         reason: why not; empty when allowed.
-        rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering", "joints", "rate",
-            "emergency_stop", "audit"); empty when allowed.
+        rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering", "joints", the name
+            of a limit of `[limits]`, "rate", "emergency_stop", "audit"); empty when allowed.
         clamped: values that were changed in the messages.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, RobotProfile
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
+from roboneuron.gate.motion import collision_of
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
@@ -80,7 +82,8 @@ class ControlModule(Module):
             acceleration=None,
         )
         assert plan.controller is not None
-        self._profile = load_profile(registry, self.config.robot.name)
+        profile = load_profile(registry, self.config.robot.name)
+        self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
         options = self.config.options(plan.controller.name)
         self._controller = cast("Controller", build(plan.controller, options, self._profile))
         self._controller.load()

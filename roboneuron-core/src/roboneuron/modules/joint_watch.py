@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, RobotProfile
+from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, UnsafeError
 
 F64 = NDArray[np.float64]
 
-_SLACK = 0.05
-"""What noise and a late message may add to the way between two states [rad or m]."""
+_SLACK, _SLACK_M = 0.05, 0.01
+"""What noise and a late message may add to the way between two states [rad; m of slides]."""
 _HASTE = 2.0
 """How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine."""
 
@@ -30,6 +31,8 @@ class JointWatch:
         self.joints: JointSample | None = None
         self._names = profile.arm_joints
         self._velocity = None if profile.limits is None else np.asarray(profile.limits.velocity, dtype=np.float64)
+        slides = prismatic_joints(profile.urdf)
+        self._slack = np.array([_SLACK_M if name in slides else _SLACK for name in profile.arm_joints])
         self._timeout_s = timeout_s
         self._at_s = 0.0
         self._order: tuple[tuple[str, ...], list[int]] = ((), [])
@@ -87,7 +90,7 @@ class JointWatch:
         if self._velocity is None:
             return
         before = self.joints.position[[self.joints.names.index(name) for name in self._names]]
-        way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - _SLACK
+        way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
         if way.max() > 0.0:
             i = int(way.argmax())
             raise UnsafeError(

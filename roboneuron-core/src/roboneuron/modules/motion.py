@@ -32,6 +32,10 @@ class MotionGuard:
     ) -> None:
         inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
         assert config.control is not None
+        is_checked = profile.collision is None or isinstance(controller, PostureInspector)
+        if not is_checked:
+            log.warning("The controller tells no distances: collisions of %s are not checked.", profile.name)
+        status.set_value("collision_checked", is_checked and profile.collision is not None)
         self._controller = controller
         self._limiter = MotionLimiter(
             motion_rules(config.limits, profile),

@@ -89,9 +89,9 @@ class RequestContext:
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
-        params = request.session.client_params if holder.client.startswith("pid") else None
-        if params is not None:  # several clients in one process may be told apart by what they call themselves
-            self.who += f" ({''.join(c for c in params.client_info.name[:40] if c.isascii() and c.isalnum())})"
+        client = request.session.client_params if holder.client.startswith("pid") else None
+        if client is not None:  # several clients in one process may be told apart by what they call themselves
+            self.who += f" ({''.join(c for c in client.client_info.name[:40] if c.isascii() and c.isalnum())})"
 
     async def run(
         self,

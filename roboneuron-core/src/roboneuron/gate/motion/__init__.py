@@ -1,9 +1,22 @@
-"""Limits on what control sends, between the controller's command and the publisher: pure computation, numpy only."""
+"""Limits on how an arm moves, for the commands of control and for joint motions: pure computation, numpy only."""
 
 from __future__ import annotations
 
 from roboneuron.gate.motion.limiter import MotionLimiter
-from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, motion_rules
+from roboneuron.gate.motion.path import Leg, LimitError, PathLimiter
+from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, collision_of, motion_rules
 from roboneuron.gate.motion.verdict import Motion, Verdict
 
-__all__ = ["LIMITS", "Motion", "MotionLimiter", "MotionRules", "Verdict", "Zone", "motion_rules"]
+__all__ = [
+    "LIMITS",
+    "Leg",
+    "LimitError",
+    "Motion",
+    "MotionLimiter",
+    "MotionRules",
+    "PathLimiter",
+    "Verdict",
+    "Zone",
+    "collision_of",
+    "motion_rules",
+]

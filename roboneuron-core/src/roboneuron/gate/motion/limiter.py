@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
+from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.joint_space import JointSpace
+from roboneuron.gate.motion.reach import Reach
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.selection import check_gripper, pick
+from roboneuron.gate.motion.selection import check_gripper, pick, pick_others
 from roboneuron.gate.motion.setpoint import CommandedMotion
 from roboneuron.gate.motion.task_space import TaskSpace
 from roboneuron.gate.motion.verdict import Motion, Verdict
 
 F64 = NDArray[np.float64]
 
-LOST = 0.1
-"""Farther [rad or m] than this from where the commands should have brought it, the arm does not follow them."""
+LOST, LOST_M = 0.1, 0.02
+"""Farther [rad; m of slides] than this from where the commands should have brought it, the arm does not follow them."""
 _MEMORY_S = 1.0
 """After so long without a command the arm rests, and is met where it is measured."""
 _SHORTEST_S = 1e-3
@@ -39,7 +41,10 @@ class _Stop(Exception):
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Step:
-    """What one command is judged by; arrays are float64 (n,) in the order of the profile's arm joints."""
+    """What one command is judged by; arrays are float64 (n,) in the order of the profile's arm joints.
+
+    `others` are names and positions of joints beside the arm's, as commanded or else as measured.
+    """
 
     measured: F64
     start: F64
@@ -48,6 +53,7 @@ class _Step:
     duration_s: float
     passed_s: float
     stamp_ns: int
+    others: tuple[tuple[str, ...], F64]
     acted: list[str] = field(default_factory=list)
     reason: str = ""
 
@@ -86,6 +92,10 @@ class MotionLimiter:
             acceleration=rules.acceleration_fraction,
         )
         self._task = TaskSpace(rules)
+        self._reach = Reach(profile)
+        slides = prismatic_joints(profile.urdf)
+        self._lost = np.array([LOST_M if name in slides else LOST for name in profile.arm_joints])
+        self._checks_way = profile.collision is not None
         self._forward, self._inspect = forward, inspect
         self._immediate = immediate
         self._commanded = CommandedMotion(immediate=immediate)
@@ -167,7 +177,7 @@ class MotionLimiter:
             raise UnsafeError(f"A command lasts {command.duration_s} s, expected a finite time > 0.")
         since_s = self._commanded.passed_s(now_s)
         commanded = self._commanded.at(now_s) if since_s < _MEMORY_S else None
-        lost = commanded is not None and float(np.abs(commanded[0] - measured).max()) > LOST
+        lost = commanded is not None and bool((np.abs(commanded[0] - measured) > self._lost).any())
         start, before = (measured, np.zeros_like(measured)) if commanded is None or lost else commanded
         duration_s = max(_SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s)
         step = _Step(
@@ -178,6 +188,7 @@ class MotionLimiter:
             duration_s=duration_s,
             passed_s=max(0.0, min(since_s, duration_s)),
             stamp_ns=joints.stamp_ns,
+            others=pick_others(command, joints, self._names),
         )
         return step, lost
 
@@ -185,10 +196,27 @@ class MotionLimiter:
         return self._inspect(self._sample(step, position))
 
     def _sample(self, step: _Step, position: F64) -> JointSample:
-        return JointSample(names=self._names, position=position, stamp_ns=step.stamp_ns)
+        names, others = step.others
+        if not names:
+            return JointSample(names=self._names, position=position, stamp_ns=step.stamp_ns)
+        return JointSample(
+            names=(*self._names, *names), position=np.concatenate([position, others]), stamp_ns=step.stamp_ns
+        )
 
-    def _broken(self, step: _Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
-        return self._task.places(here, there, lambda: self._look(step, step.measured).smallest_singular_value)
+    def _broken(self, step: _Step, here: Pose, target: F64, there: Posture) -> Iterator[tuple[str, str]]:
+        def look_here() -> Posture:
+            return self._look(step, step.measured)
+
+        yield from self._task.places(here, there, look_here)
+        if not self._checks_way:
+            return
+        way = target - step.measured
+        count = self._reach.count(self._names, np.abs(way))
+        for number in range(1, count):
+            passed = self._look(step, step.measured + way * (number / count))
+            for reason in self._task.collisions(passed, look_here):
+                yield "collision", reason
+                return
 
     def _motion(self, step: _Step, here: Pose, start: Pose, there: Posture, target: F64) -> Motion:
         speed = float(np.abs(target - step.start).max(initial=0.0)) / step.duration_s
@@ -228,7 +256,7 @@ class MotionLimiter:
 
     def _place(self, step: _Step, here: Pose, target: F64, there: Posture) -> tuple[F64, Posture]:
         """The farthest posture on the way to `target` that is nowhere the arm must not be, within 1/64 of the way."""
-        broken = list(self._broken(step, here, there))
+        broken = list(self._broken(step, here, target, there))
         if not broken:
             return target, there
         for name, reason in broken:
@@ -238,7 +266,7 @@ class MotionLimiter:
         for _ in range(_HALVINGS):
             middle = (good + bad) / 2.0
             position = step.start + middle * way
-            if next(self._broken(step, here, self._look(step, position)), None) is None:
+            if next(self._broken(step, here, position, self._look(step, position)), None) is None:
                 good, best = middle, position
             else:
                 bad = middle
@@ -259,7 +287,7 @@ class MotionLimiter:
             raise _Stop("acceleration", f"The arm is too fast for a limit before it: {step.reason}")
         for name, _, reason in self._task.pace(sent):
             raise _Stop(name, reason)
-        for name, reason in self._broken(step, here, there):
+        for name, reason in self._broken(step, here, target, there):
             raise _Stop(name, reason)
 
     def _command(self, command: JointCommand, target: F64, step: _Step) -> JointCommand:

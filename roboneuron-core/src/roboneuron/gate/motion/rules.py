@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.config import LimitsConfig, Reaction
-from roboneuron.contract import RobotProfile
+from roboneuron.contract import CollisionProfile, Obstacle, RobotProfile
 from roboneuron.errors import ConfigurationError
 
 F64 = NDArray[np.float64]
@@ -90,10 +90,35 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
     )
 
 
-def _zone(name: str, lower_m: list[float], upper_m: list[float]) -> Zone:
+def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfile | None:
+    """What the arm must not touch: the profile's with the configured distance and obstacles; None when not checked.
+
+    Raises:
+        ConfigurationError: an obstacle is no box, or the distance is shorter than the robot's.
+    """
+    given = profile.collision
+    if not config.collision or (given is None and config.min_distance_m is None and config.obstacles is None):
+        return None
+    made = given or CollisionProfile()
+    if given is not None and config.min_distance_m is not None and config.min_distance_m < given.min_distance_m:
+        raise ConfigurationError(
+            f"limits.min_distance_m = {config.min_distance_m:g} is less than the {given.min_distance_m:g} m of robot "
+            f"{profile.name!r}; limits can only be tightened."
+        )
+    if config.min_distance_m is not None:
+        made = replace(made, min_distance_m=config.min_distance_m)
+    if config.obstacles is not None:
+        boxes = [_zone(box.name, box.lower_m, box.upper_m, "obstacles") for box in config.obstacles]
+        made = replace(
+            made, obstacles=tuple(Obstacle(name=b.name, lower_m=b.lower_m, upper_m=b.upper_m) for b in boxes)
+        )
+    return made
+
+
+def _zone(name: str, lower_m: list[float], upper_m: list[float], key: str = "zones") -> Zone:
     lower, upper = np.array(lower_m), np.array(upper_m)
     if not (lower < upper).all():
-        raise ConfigurationError(f"limits.zones: {name!r} reaches from {lower_m} to {upper_m} m, which is no box.")
+        raise ConfigurationError(f"limits.{key}: {name!r} reaches from {lower_m} to {upper_m} m, which is no box.")
     return Zone(name=name, lower_m=lower, upper_m=upper)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import GripperProfile, JointCommand
+from roboneuron.contract import GripperProfile, JointCommand, JointSample
 from roboneuron.errors import UnsafeError
 
 F64 = NDArray[np.float64]
@@ -29,6 +29,18 @@ def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
     if not (np.abs(values) <= _FARTHEST).all():  # false for NaN
         raise UnsafeError(f"A joint of the arm is at no possible position: {values.tolist()}.")
     return values
+
+
+def pick_others(
+    command: JointCommand, joints: JointSample, arm: tuple[str, ...]
+) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Names and positions of the finite joints beside the arm's: as commanded, or else as measured."""
+    if joints.names == arm and len(command.names) == len(arm):
+        return (), np.zeros(0)
+    known = dict(zip(joints.names, joints.position.tolist(), strict=False))
+    known |= dict(zip(command.names, command.position.tolist(), strict=False))
+    kept = {name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST}
+    return tuple(kept), np.array(list(kept.values()), dtype=np.float64)
 
 
 def check_gripper(command: JointCommand, arm: tuple[str, ...], gripper: GripperProfile | None) -> None:

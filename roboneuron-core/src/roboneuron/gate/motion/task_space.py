@@ -1,4 +1,4 @@
-"""Limits of the TCP: step, speed, workspace, zones, height; and of the posture: singularity, self-collision."""
+"""Limits of the TCP: step, speed, workspace, zones, height; and of the posture: singularity, collision."""
 
 from __future__ import annotations
 
@@ -57,18 +57,15 @@ class TaskSpace:
                     f"The TCP would move {value:.4g} {unit}, allowed is {most:g} {unit}.",
                 )
 
-    def places(
-        self, here: Pose, there: Posture, singular_here: Callable[[], float | None]
-    ) -> Iterator[tuple[str, str]]:
-        """Limits of place and posture that the way from the measured posture breaks: name, reason.
+    def places(self, here: Pose, there: Posture, look_here: Callable[[], Posture]) -> Iterator[tuple[str, str]]:
+        """Limits of place and posture that the way from one posture to another breaks: name, reason.
 
         Args:
-            here: measured TCP.
+            here: TCP at the start of the way.
             there: end of the way.
-            singular_here: smallest singular value where the arm is measured; asked for only when it matters.
+            look_here: the posture at the start; asked for only when it matters.
 
-        Ways out of where the arm must not be are allowed, except out of a self-collision: which way that is, is not
-        known.
+        Ways out of where the arm must not be are allowed.
         """
         rules = self._rules
         start, end = here.position_m, there.pose.position_m
@@ -84,7 +81,21 @@ class TaskSpace:
             if breaks_zone(zone, start, end):
                 yield "zone", f"The TCP would enter {zone.name!r} on its way to {np.round(end, 4).tolist()} m."
         least, singular = rules.min_singular_value, there.smallest_singular_value
-        if singular is not None and singular < least and is_worse(least - singular, least - (singular_here() or 0.0)):
-            yield "singularity", f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
-        if there.contact:
-            yield "collision", f"The arm would touch itself: {there.contact}."
+        if singular is not None and singular < least:
+            before = look_here().smallest_singular_value or 0.0
+            if is_worse(least - singular, least - before):
+                yield "singularity", f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
+        for reason in self.collisions(there, look_here):
+            yield "collision", reason
+
+    def collisions(self, there: Posture, look_here: Callable[[], Posture]) -> Iterator[str]:
+        """Pairs that are too near in a posture and no farther apart than at the start of the way."""
+        if not there.near:
+            return
+        start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
+        for pair in there.near:
+            if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
+                yield (
+                    f"{pair.first} and {pair.second} would be {pair.distance_m * 1e3:.1f} mm apart, at least "
+                    f"{pair.least_m * 1e3:g} mm are required."
+                )

@@ -65,7 +65,10 @@ class GoalSending:
         server_s = SERVER.take("server_timeout_s", arguments)
         dry_run = take_flag(arguments, "dry_run")
         message = encode_argument(interface.goal, arguments, "goal")
-        request = gate_request(context, self._tool, exposed, [message], arguments, dry_run=dry_run)
+        request = gate_request(
+            context, self._tool, exposed, [message], arguments, dry_run=dry_run,
+            joints=self._access.traffic.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
+        )  # fmt: skip
         halt = threading.Event()
         return await context.run(
             lambda stage: self._run(exposed, request, timeout_s, server_s, stage, halt),
@@ -77,6 +80,8 @@ class GoalSending:
         self, exposed: Exposed, request: GateRequest, timeout_s: float, server_s: float, stage: Stage,
         halt: threading.Event,
     ) -> Answer:  # fmt: skip
+        if exposed.endpoint.joint_limited and request.joints is None:
+            request = replace(request, joints=self._access.traffic.joints(exposed, server_s))
         if request.dry_run:
             return _answer(exposed, judge_dry_run(self._access, exposed, request))
         with self._access.desk.claim(exposed, self._tool, halt) as motion:

@@ -124,7 +124,10 @@ def carry_out(
         if motion is None:
             _send(writer, steps[0])
             return _answer(exposed, verdict, 1, matched, time.monotonic() - started_s, False)
-        sent, stopped = _play(access, exposed, writer, steps, motion, stage)
+        try:
+            sent, stopped = _play(access, exposed, writer, steps, motion, stage)
+        finally:
+            access.gate.release(request)
         return _answer(exposed, verdict, sent, matched, time.monotonic() - started_s, stopped)
 
 

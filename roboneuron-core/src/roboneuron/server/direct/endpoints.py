@@ -12,6 +12,7 @@ from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import AllowedEndpoint, ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.joints import JOINT_TYPES
+from roboneuron.gate.limits import sent_types
 from roboneuron.interfaces import Interface, MessageInterface, load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
@@ -191,8 +192,10 @@ def is_velocity(kind: str, type_name: str) -> bool:
 
 
 def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
-    """Whether a new endpoint takes joint commands that the robot's own joint limits can be applied to."""
-    return kind == "publish" and type_name in JOINT_TYPES and profile is not None and profile.limits is not None
+    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with joint limits."""
+    if kind == "read" or profile is None or profile.limits is None:
+        return False
+    return type_name in JOINT_TYPES or any(name in JOINT_TYPES for name in sent_types(kind, type_name))
 
 
 def _key(exposed: Exposed) -> tuple[str, str, str]:
@@ -254,7 +257,8 @@ def _merge(
         bare = Endpoint(
             name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=str(entry.type),
             summary=entry.summary, stop_message=stop, repeat_hz=entry.repeat_hz or 0.0,
-            joint_limited=is_joint_limited(str(entry.kind), str(entry.type), robot.profile),
+            joint_limited=is_joint_limited(str(entry.kind), str(entry.type), robot.profile)
+            and (entry.moves or entry.type in JOINT_TYPES),
         )  # fmt: skip
     else:
         bare = replace(

@@ -9,6 +9,7 @@ from dataclasses import replace
 from roboneuron.config import Config, DiscoverConfig
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.gate.limits import number_fields
 from roboneuron.interfaces import load_interface
 from roboneuron.server.direct.endpoints import Exposed, is_joint_limited, is_velocity
@@ -64,7 +65,8 @@ def limit(found: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) -> Ex
     limited = tighten(bare, ConfiguredLimits(bounds=named))
     check_endpoint(limited)
     free = [path for path in number_fields(limited) if path not in limited.bounds]
-    if free and lender is None and not limited.joint_limited and bare.type not in entry.unlimited:
+    is_bounded = limited.joint_limited and bare.type in JOINT_TYPES  # what lies beside a nested command is not
+    if free and lender is None and not is_bounded and bare.type not in entry.unlimited:
         listed = ", ".join(free[:6]) + (" ..." if len(free) > 6 else "")
         raise ConfigurationError(
             f"nothing limits {listed} of {bare.type}.",

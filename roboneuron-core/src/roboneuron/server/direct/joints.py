@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import Field
 
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.gate.acceleration import shortest_s
 from roboneuron.gate.joints import JointLimit, joint_limits
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import (
@@ -30,9 +32,10 @@ from roboneuron.server.direct.request import gate_request, judge_dry_run
 from roboneuron.server.schema import output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
 
-_EASY = 0.4
-"""Share of the velocity limits that a move uses when it is given no duration."""
-_REACHED = 0.01
+_EASY, _EASY_ACCELERATION = 0.4, 0.5
+"""Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
+_NEARLY = 0.95
+"""Share of what a joint may do so near to its limit."""
 _SETTLE_S = 3.0
 
 
@@ -130,6 +133,9 @@ class _JointMover:
         request = gate_request(
             context, "move_joints", exposed, [_message(target, duration_s)], arguments, joints=joints, dry_run=dry_run
         )
+        if asked_s is None and (slower := access.gate.slowdown(request)) > 1.0:
+            duration_s *= slower * 1.01  # rounding
+            request = replace(request, messages=(_message(target, duration_s),))
         if dry_run:
             verdict = judge_dry_run(access, exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
@@ -158,8 +164,18 @@ class _JointMover:
 
     def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
         """Duration at which every joint uses at most a share of its velocity limit."""
-        needed = [abs(v - _position(joints, n)) / (_EASY * self._limits[n].velocity) for n, v in target.items()]
-        return max(0.5, *needed)
+        needed = [0.5]
+        for name, value in target.items():
+            limit, start = self._limits[name], _position(joints, name)
+            distance, fastest = abs(value - start), limit.fastest(start, value)
+            needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
+            needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
+        return max(needed)
+
+    def _is_there(self, target: Mapping[str, float], joints: JointSample) -> bool:
+        profile = self._exposed.profile
+        assert profile is not None
+        return all(abs(value - _position(joints, name)) < profile.tolerance(name) for name, value in target.items())
 
     def _follow(self, target: Mapping[str, float], duration_s: float, motion: Motion, stage: Stage) -> JointSample:
         began_s = told_s = time.monotonic()
@@ -168,10 +184,11 @@ class _JointMover:
             joints = self._access.traffic.newest_joints(self._exposed)
             if joints is None:
                 raise StateError("The joints are not measured any more.", hint="See get_status.")
-            if now_s - began_s >= duration_s * 0.9 and _error(target, joints) < _REACHED:
+            if now_s - began_s >= duration_s * 0.9 and self._is_there(target, joints):
                 return joints
             if now_s - began_s > duration_s + _SETTLE_S:
-                raise StateError(f"The joints are {_error(target, joints):.3f} from the target and do not come nearer.")
+                off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
+                raise StateError(f"The joints do not come nearer to the target; they are off by {off} [rad or m].")
             if now_s - told_s >= 0.5:
                 told_s = now_s
                 stage(f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} to go")

@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from roboneuron.config import Config, ExposeConfig
 from roboneuron.contract import RobotProfile
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
-from roboneuron.gate import AuditLog, AuditRecord, EmergencyStopLatch, Gate
+from roboneuron.gate import AllowedEndpoint, AuditLog, AuditRecord, EmergencyStopLatch, Gate
 from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.direct.access import Access
@@ -25,6 +26,7 @@ from roboneuron.server.direct.endpoints import Exposed, Exposure, exposure, uniq
 from roboneuron.server.direct.exposing import Admin, ExposureChange, exposing_tools
 from roboneuron.server.direct.found import check_patterns
 from roboneuron.server.direct.generic import generic_tools
+from roboneuron.server.direct.kinematics import ArmPaths
 from roboneuron.server.direct.motion import MotionDesk
 from roboneuron.server.direct.parameter_calls import parameter_endpoints
 from roboneuron.server.direct.parameters import parameter_tools
@@ -67,6 +69,7 @@ class DirectPath:
         self._access = Access(
             gate=self.gate, desk=self.desk, traffic=self.traffic, max_duration_s=config.direct.max_duration_s
         )
+        self._paths = ArmPaths(config, loop.plugins.current)
         self._exposure = Exposure()
         self._admin = threading.Lock()
         self._added: tuple[ExposeConfig, ...] = ()
@@ -197,9 +200,17 @@ class DirectPath:
             new = [e for e in self._found if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
-            self.gate.replace([*(e.allowed() for e in endpoints), *(e.allowed() for e in nodes)])
+            self.gate.replace([*map(self._allowed, endpoints), *(e.allowed() for e in nodes)])
             self._exposure = Exposure(endpoints=endpoints, nodes=configured.nodes)
             return self._registry.replace_derived(self._make(endpoints, configured))
+
+    def _allowed(self, exposed: Exposed) -> AllowedEndpoint:
+        """The entry of the allow list; joint motions of an arm with a TCP get the limits that actions have."""
+        entry, profile = exposed.allowed(), exposed.profile
+        if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:
+            return entry
+        rules = self._paths.rules(exposed.robot, profile)
+        return replace(entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile))
 
     def _make(self, endpoints: Iterable[Exposed], configured: Exposure) -> list[DerivedTool]:
         config = self._loop.config

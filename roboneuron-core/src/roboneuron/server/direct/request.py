@@ -45,7 +45,8 @@ def encode_argument(part: MessageInterface, arguments: Mapping[str, Any], name: 
 
 def gate_request(
     context: CallContext, tool: str, exposed: Exposed, messages: Sequence[Any], arguments: Mapping[str, Any], *,
-    joints: JointSample | None = None, durations_s: Sequence[float] = (), dry_run: bool = False,
+    joints: JointSample | None = None, durations_s: Sequence[float] = (),
+    send_at_s: Sequence[float] = (), dry_run: bool = False,
 ) -> GateRequest:  # fmt: skip
     """What the gate is asked for this call."""
     return GateRequest(
@@ -58,6 +59,7 @@ def gate_request(
         arguments=arguments,
         joints=joints,
         durations_s=tuple(durations_s),
+        send_at_s=tuple(send_at_s),
         dry_run=dry_run,
     )
 

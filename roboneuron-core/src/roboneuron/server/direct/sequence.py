@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Mapping
 from typing import Any
@@ -50,11 +51,13 @@ class Sequencing:
         if times * len(steps) > MAX_STEPS:
             raise InvalidInputError(f"{times} x {len(steps)} steps are more than {MAX_STEPS}.", path="times")
         played = steps * times
+        starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
         joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
         request = gate_request(
             context, self._tool, exposed, [step.message for step in (played if joint_limited else steps)], arguments,
             joints=self._access.traffic.newest_joints(exposed) if joint_limited else None,
-            durations_s=[step.duration_s for step in played] if joint_limited else [], dry_run=dry_run,
+            durations_s=[step.duration_s for step in played] if joint_limited else [], send_at_s=starts_s,
+            dry_run=dry_run,
         )  # fmt: skip
         halt = threading.Event()
         return await context.run(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from roboneuron.errors import NotReadyError, StateError
@@ -57,13 +58,15 @@ class Calling:
         dry_run = take_flag(arguments, "dry_run")
         message = encode_argument(interface.request, arguments, "request")
         request = gate_request(context, self._tool, exposed, [message], arguments, dry_run=dry_run)
-        if dry_run:
-            return _answer(exposed, judge_dry_run(self._access, exposed, request))
-        self._access.desk.check_free(exposed)
         halt = threading.Event()
         return await context.run(lambda _: self._call(exposed, request, timeout_s, halt), on_cancel=halt.set)
 
     def _call(self, exposed: Exposed, request: GateRequest, timeout_s: float, halt: threading.Event) -> Answer:
+        if exposed.endpoint.joint_limited:
+            request = replace(request, joints=self._access.traffic.joints(exposed, min(timeout_s, 2.0)))
+        if request.dry_run:
+            return _answer(exposed, judge_dry_run(self._access, exposed, request))
+        self._access.desk.check_free(exposed)
         interface = exposed.interface
         assert isinstance(interface, ServiceInterface)
         started_s = time.monotonic()

@@ -72,7 +72,7 @@ def _describe(exposed: Exposed, named: bool) -> str:
     if endpoint.joint_limited:
         parts.append("The robot's joint and velocity limits are enforced.")
     if endpoint.rate_hz:
-        parts.append(f"At most {endpoint.rate_hz:g} calls per second.")
+        parts.append(f"At most {endpoint.rate_hz:g} messages per second.")
     if exposed.clamp:
         parts.append(f"Clamped to the limits: {', '.join(sorted(exposed.clamp))}.")
     return " ".join(part for part in parts if part)

@@ -1,0 +1,65 @@
+"""How far from a joint's axis the arm can reach: bounds how far any point of it moves when the joint does."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import RobotProfile
+
+_SHAPE_M = 0.1
+"""What a hand sticks out from the line of the joints."""
+
+
+_FINEST_M, _COARSEST_M = 0.005, 0.02
+
+
+class Reach:
+    """How finely a way has to be walked, so that nothing is passed unseen between two postures.
+
+    Attributes:
+        spacing_m: farthest that a point of the arm may move between two postures: twice the least distance of its
+            links, within 5 to 20 mm.
+    """
+
+    def __init__(self, profile: RobotProfile) -> None:
+        self._levers = levers_m(profile)
+        least_m = _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
+        self.spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
+
+    def count(self, names: Sequence[str], change: NDArray[np.float64]) -> int:
+        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be cut; at least 1."""
+        travel_m = sum(self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True))
+        return max(1, math.ceil(float(travel_m) / self.spacing_m))
+
+
+def levers_m(profile: RobotProfile) -> dict[str, float]:
+    """By joint of the chain from base to TCP: metres that a point moves at most per rad (1 per m for slides).
+
+    Empty for a description that holds no such chain.
+    """
+    try:
+        root = ET.fromstring(profile.urdf)
+    except ET.ParseError:
+        return {}
+    above = {_attribute(joint.find("child"), "link"): joint for joint in root.findall("joint")}
+    levers: dict[str, float] = {}
+    link, length = profile.tcp_link, _SHAPE_M
+    while link in above and link != profile.base_link:
+        joint = above.pop(link)
+        is_slide = joint.get("type") == "prismatic"
+        levers[joint.get("name", "")] = 1.0 if is_slide else length
+        length += math.hypot(*map(float, _attribute(joint.find("origin"), "xyz", "0 0 0").split()))
+        if is_slide:
+            limit = joint.find("limit")
+            length += abs(float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1")))
+        link = _attribute(joint.find("parent"), "link")
+    return levers
+
+
+def _attribute(element: ET.Element | None, name: str, default: str = "") -> str:
+    return default if element is None else element.get(name, default)

@@ -1,0 +1,197 @@
+"""Joint motions that the gate permits bring no link of the FR3 into another one or the table, judged by PyBullet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pybullet
+import pytest
+
+from rn_robot_fr3.limits import FINGER_OPEN_M
+from rn_robot_fr3.profile import HOME_RAD
+from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.world import JOINTS
+from roboneuron.config import parse_config
+from roboneuron.contract import JointCommand, JointSample
+from roboneuron.errors import RefusedError
+from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
+from roboneuron.plugins.discovery import discover
+from roboneuron.ros.messages import to_joint_trajectory
+from roboneuron.server.direct.endpoints import exposure
+from roboneuron.server.direct.kinematics import ArmPaths
+
+COMMANDED = JOINTS[:8]
+HOME = np.array([*HOME_RAD, FINGER_OPEN_M])
+RIGID = [{"fr3_link7", "fr3_hand"}, {"fr3_leftfinger", "fr3_rightfinger"}]
+"""Links that overlap whatever the joints do, and fingers that close on each other."""
+Ask = Callable[..., str]
+
+
+@pytest.fixture
+def make_ask(tmp_path: Path) -> Callable[..., Ask]:
+    """Return a function that makes a judge of one joint move; it says why not, or nothing."""
+
+    def make(limits: str = "", workspace: bool = False) -> Ask:
+        config = parse_config(f'[robot]\nname = "fr3"\n[control]\ncontroller = "urdf"\n[limits]\n{limits}')
+        registry = discover(())
+        paths = ArmPaths(config, lambda: registry)
+        exposed = next(e for e in exposure(config, registry).endpoints if e.label == "joint_trajectory")
+        assert exposed.profile is not None
+        free = exposed.profile if workspace else replace(exposed.profile, workspace=None)
+        entry = replace(exposed.allowed(), rules=paths.rules("fr3", free), path=lambda: paths.limiter("fr3", free))
+        entry = replace(entry, endpoint=replace(entry.endpoint, rate_hz=0.0))
+        latch = EmergencyStopLatch(tmp_path / "stop", lambda: 0)
+        gate = Gate([entry], latch=latch, audit=AuditLog(tmp_path / "audit", lambda: 0), clock=lambda: 0.0)
+
+        def ask(start: np.ndarray, target: np.ndarray, duration_s: float = 60.0, dry_run: bool = False) -> str:
+            command = JointCommand(names=COMMANDED, position=target, duration_s=duration_s)
+            request = GateRequest(
+                who="agent", role="operator", tool="move_joints", robot="fr3", endpoint="joint_trajectory",
+                messages=(to_joint_trajectory(command),), dry_run=dry_run,
+                joints=JointSample(names=JOINTS, position=np.append(start, start[-1])),
+            )  # fmt: skip
+            try:
+                return gate.check(request).reason
+            except RefusedError as error:
+                return str(error)
+
+        return ask
+
+    return make
+
+
+@pytest.fixture
+def simulation() -> Iterator[Simulation]:
+    """The simulated FR3; its cubes are out of the way."""
+    with Simulation(0, colours=("red",)) as made:
+        for body in made.world.cube_bodies.values():
+            made.world.set_body_pose(body, (0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0))
+        yield made
+
+
+def penetrations(simulation: Simulation) -> list[tuple[str, str, float]]:
+    """Links that do not share a joint, or a moving link and the table, that overlap: names and distance [m]."""
+    client, robot, table = simulation.world.client, simulation.world.robot, 0
+    infos = [pybullet.getJointInfo(robot, i, physicsClientId=client) for i in range(
+        pybullet.getNumJoints(robot, physicsClientId=client))]  # fmt: skip
+    names = {-1: "fr3_link0"} | {info[0]: info[12].decode() for info in infos}
+    parents = {info[0]: info[16] for info in infos}
+    found = []
+    for point in pybullet.getClosestPoints(robot, robot, 0.0, physicsClientId=client):
+        a, b = point[3], point[4]
+        is_one = a == b or parents.get(a) == b or parents.get(b) == a or {names[a], names[b]} in RIGID
+        if not is_one and point[8] < 0.0:
+            found.append((names[a], names[b], point[8]))
+    for point in pybullet.getClosestPoints(robot, table, 0.0, physicsClientId=client):
+        if point[3] != -1 and point[8] < 0.0:
+            found.append((names[point[3]], "table", point[8]))
+    return found
+
+
+def along(simulation: Simulation, start: np.ndarray, target: np.ndarray, count: int) -> list[tuple[str, str, float]]:
+    """Penetrations at postures on the straight way."""
+    found = []
+    for share in np.linspace(0.0, 1.0, count):
+        position = start + (target - start) * share
+        simulation.world.set_joints([*position, position[-1]])
+        found += penetrations(simulation)
+    return found
+
+
+BASE_AND_LINK6 = np.array([0.0, -0.606, -2.803, -2.798, 1.529, 1.032, 0.785, 0.04])
+"""A posture within all joint limits."""
+
+
+def test_move_joints_does_not_press_link_6_into_the_base(make_ask: Any, simulation: Simulation) -> None:
+    assert ("fr3_link0", "fr3_link6") in {found[:2] for found in along(simulation, BASE_AND_LINK6, BASE_AND_LINK6, 1)}
+    reason = make_ask()(HOME, BASE_AND_LINK6)
+    assert "mm apart, at least 10 mm are required" in reason
+    alone = make_ask()(BASE_AND_LINK6 + np.array([0, -0.2, 0, 0, 0, 0, 0, 0]), BASE_AND_LINK6)
+    assert alone.startswith("fr3_link0 and fr3_link6 would be ")
+    assert make_ask()(HOME, BASE_AND_LINK6, dry_run=True) == reason
+    assert make_ask("collision = false")(HOME, BASE_AND_LINK6) == ""
+
+
+def test_tilting_the_hand_at_low_height_does_not_press_a_link_onto_the_table(
+    make_ask: Any, simulation: Simulation
+) -> None:
+    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange comes down."""
+    low = np.array([0.0, 0.2, 0.0, -2.42, 0.0, 2.62, 0.785, 0.04])
+    tilted = low + np.array([0.0, 0.52, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    assert any(name == "table" for _, name, _ in along(simulation, tilted, tilted, 1))
+    assert "and table would be" in make_ask()(HOME, tilted)
+    assert make_ask("collision = false")(HOME, tilted) == ""
+
+
+def test_ways_out_of_a_penetration_are_allowed(make_ask: Any) -> None:
+    away = BASE_AND_LINK6 + np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    assert make_ask()(BASE_AND_LINK6, away) == ""
+
+
+def test_fingers_may_work_just_above_the_table(make_ask: Any) -> None:
+    """The lowest TCP of the workspace, the hand straight down: fingertips 1 mm above the table."""
+    from rn_controller_urdf.controller import UrdfController
+    from rn_robot_fr3.profile import profile
+    from roboneuron.contract import Action
+
+    controller = UrdfController(None, profile())
+    controller.load()
+    posture = HOME[:7].copy()
+    for _ in range(200):
+        tcp = controller.forward(JointSample(names=JOINTS[:7], position=posture)).position_m
+        step = np.clip(np.array([0.45, 0.0, 0.0105]) - tcp, -0.02, 0.02)
+        if np.linalg.norm(step) < 1e-5:
+            break
+        action = Action(translation_m=step, rotation_rad=np.zeros(3), gripper_open=1.0)
+        command = controller.compute(action, JointSample(names=JOINTS[:7], position=posture), 0.1)
+        assert isinstance(command, JointCommand), command
+        posture = command.position[:7]
+    assert make_ask()(HOME, np.append(posture, 0.04)) == ""
+    assert "finger and table would be" in make_ask()(HOME, np.append(posture + np.eye(7)[3] * -0.01, 0.04))
+
+
+def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
+    from rn_robot_fr3.profile import profile
+
+    limits = profile().limits
+    assert limits is not None
+    lower, upper = np.append(limits.lower, 0.0), np.append(limits.upper, FINGER_OPEN_M)
+    return list(rng.uniform(lower, upper, (count, 8)))
+
+
+def test_no_permitted_motion_penetrates_anything_on_its_way(make_ask: Any, simulation: Simulation) -> None:
+    """Random targets over the whole joint space, half of them followed on from where the last permitted one ended."""
+    ask, rng = make_ask(), np.random.default_rng(7)
+    start, permitted, refused = HOME, 0, 0
+    for target in _targets(rng, 100):
+        near = start + (target - start) * rng.choice([0.2, 1.0])
+        if ask(start, near):
+            refused += 1
+            continue
+        permitted += 1
+        assert along(simulation, start, near, 25) == []
+        start = near
+    assert permitted > 60
+    assert refused > 10
+
+
+def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(make_ask: Any, simulation: Simulation) -> None:
+    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not start all alike."""
+    ask, rng = make_ask("max_speed_m_s = 0.5"), np.random.default_rng(11)
+    start, moves = HOME, 0
+    for target in _targets(rng, 40):
+        near = start + (target - start) * rng.choice([0.4, 1.0])
+        duration_s = next((d for d in (1.0, 2.0, 4.0, 8.0) if not ask(start, near, d)), None)
+        if duration_s is None:
+            continue
+        moves += 1
+        simulation.set_target(COMMANDED, near, duration_s)
+        for _ in range(int((duration_s + 0.3) * 240 / 12)):
+            simulation.step(12)
+            assert penetrations(simulation) == []
+        start = simulation.joint_positions()[:8]
+    assert moves > 15
