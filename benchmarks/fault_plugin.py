@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.restricted import AgentMaySet
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, DriverSpec, PerceptionSpec, RobotSpec
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class FaultOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    mode_file: str = Field(
+    mode_file: Annotated[str, AgentMaySet()] = Field(
         default="",
         description='what is wrong: "stale", "future", "frozen", "reordered", "missing-joint", "unknown-names", "nan", '
         '"stamps+<s>", "robot-clock+<s>", "control-clock+<s>"',

@@ -10,11 +10,12 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.restricted import AgentMaySet
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, PerceptionSpec, RobotSpec
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ class CameraOptions(BaseModel):
     rate_hz: float = Field(default=10.0, gt=0, description="images per second")
     tag: int = Field(default=0, description="who delivered, in the images")
     scale: int = Field(default=1, ge=1, description="images are smaller than the camera by this factor")
-    mode_file: str = Field(default="", description='a file that says what is wrong: "frozen", "black", "small"')
+    mode_file: Annotated[str, AgentMaySet()] = Field(
+        default="", description='a file that says what is wrong: "frozen", "black", "small"'
+    )
 
 
 class BackendOptions(BaseModel):
@@ -66,11 +69,15 @@ class BackendOptions(BaseModel):
     offset_m: float = Field(default=0.0, description="added to the motion along x")
     step_s: float = Field(default=0.01, gt=0, description="shortest time between two actions")
     delay_s: float = Field(default=0.0, ge=0, description="time that a prediction takes")
-    hang_file: str = Field(default="", description="a prediction lasts for as long as this file exists")
-    mode_file: str = Field(
+    hang_file: Annotated[str, AgentMaySet()] = Field(
+        default="", description="a prediction lasts for as long as this file exists"
+    )
+    mode_file: Annotated[str, AgentMaySet()] = Field(
         default="", description='a file that says what is wrong: "raise", "hang", or how long to wait [ms]'
     )
-    fail_file: str = Field(default="", description="a prediction fails while this file exists")
+    fail_file: Annotated[str, AgentMaySet()] = Field(
+        default="", description="a prediction fails while this file exists"
+    )
 
 
 class NumberingCamera:
@@ -163,7 +170,9 @@ class ControllerOptions(BaseModel):
 
     tool_m: float = Field(default=0.0, description="its TCP lies this far along z from the gantry's")
     offset: float = Field(default=0.0, description="added to the commanded position of the first joint")
-    mode_file: str = Field(default="", description='a file that says what is wrong: "hold", "raise", "hang"')
+    mode_file: Annotated[str, AgentMaySet()] = Field(
+        default="", description='a file that says what is wrong: "hold", "raise", "hang"'
+    )
 
 
 class FaultyController:

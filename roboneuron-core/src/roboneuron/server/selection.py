@@ -5,7 +5,7 @@ Nothing is spawned, and nothing heavy imported: names, plans, options, paths and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -271,30 +271,22 @@ def check_configuration(config: Config, registry: Registry) -> None:
     Raises:
         ConfigurationError, PlanningError: as the `select_...` functions and `check_sections`; all that is wrong.
     """
+    checks: list[Callable[[], object]] = [lambda: select_robot(config, registry, None, None, {})]
+    if config.perception is not None:
+        checks.append(lambda: select_perception(config, registry, None, (), {}))
+    if config.control is not None:
+        checks.append(lambda: select_control(config, registry, None, {}))
+    checks += [lambda: _check_inference(config, registry), lambda: check_sections(config, registry)]
     problems: dict[str, RoboNeuronError] = {}
-    for check in (_check_robot, _check_perception, _check_control, _check_inference, check_sections):
+    for check in checks:
         try:
-            check(config, registry)
+            check()
         except RoboNeuronError as error:
             problems.setdefault(str(error), error)
     if len(problems) == 1:
         raise next(iter(problems.values()))
     if problems:
         raise ConfigurationError("\n".join(problems))
-
-
-def _check_robot(config: Config, registry: Registry) -> None:
-    select_robot(config, registry, None, None, {})
-
-
-def _check_perception(config: Config, registry: Registry) -> None:
-    if config.perception is not None:
-        select_perception(config, registry, None, (), {})
-
-
-def _check_control(config: Config, registry: Registry) -> None:
-    if config.control is not None:
-        select_control(config, registry, None, {})
 
 
 def _check_inference(config: Config, registry: Registry) -> None:
