@@ -44,11 +44,11 @@ import os, time
 import anyio
 from mcp import types
 from mcp.server import Server
-from mcp.server.stdio import stdio_server
-from roboneuron.server.stdio import LineReader, LineWriter
+from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 
 async def main():
-    reader, writer = LineReader(os.dup(0)), LineWriter(os.dup(1))
+    writer = LineWriter(os.dup(1))
+    reader = MessageReader(os.dup(0), writer.write, 192)
     reader.start()
     writer.start()
     schema = {"type": "object"}
@@ -58,8 +58,7 @@ async def main():
         at = {"at_ns": time.monotonic_ns()}
         return types.CallToolResult(content=[types.TextContent(type="text", text="{}")], structured_content=at)
     server = Server("trivial", on_list_tools=listing, on_call_tool=call)
-    async with stdio_server(reader, writer) as (read, write):
-        await server.run(read, write, server.create_initialization_options())
+    await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
 
 anyio.run(main)
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,9 @@ from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.direct.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from roboneuron.server.direct.topic_limits import (
+    Use,
+    by_topic,
     check_reserved,
-    limits_of,
     not_looser,
     pattern_limits,
     same_for_each_topic,
@@ -123,6 +124,8 @@ def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] =
         PluginError, MissingDependencyError: a profile cannot be loaded.
     """
     robots: dict[str, _Robot] = {}
+    known: dict[Use, list[Exposed]] = {}
+    """All that was said about topics, also by profiles and under a name that was given to another topic since."""
 
     def find(name: str, namespace: str | None) -> _Robot:
         if name not in robots:
@@ -132,6 +135,8 @@ def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] =
             if any(robot.namespace == space for robot in robots.values()):
                 raise ConfigurationError(f"Robot {name!r} cannot have the namespace {space!r}: another robot has it.")
             robots[name] = _Robot(name=name, namespace=space, profile=profile)
+            for exposed in _profile_endpoints(robots[name]):
+                known.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
         found = robots[name]
         if namespace is not None and namespace != found.namespace:
             raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
@@ -139,8 +144,6 @@ def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] =
 
     drafts: dict[tuple[str, str, str], Exposed] = {}
     nodes: list[ParameterNode] = []
-    earlier: list[Exposed] = []
-    """All that was said about topics before, also under a name that was given to another one since."""
 
     def take(entry: ExposeConfig, patterns: Iterable[DiscoverConfig]) -> None:
         robot = find(entry.robot or config.robot.name, entry.namespace)
@@ -149,25 +152,23 @@ def exposure(config: Config, registry: Registry, added: Iterable[ExposeConfig] =
         elif entry.name is None:
             drafts.update((_key(e), e) for e in _whole_profile(entry, robot))
         else:
-            profiles = [e for known in robots.values() for e in _profile_endpoints(known)]
-            made = _merge(entry, robot, drafts, [*profiles, *earlier], patterns)
+            made = _merge(entry, robot, drafts, known, patterns)
             drafts[_key(made)] = made
-            earlier.append(made)
+            known.setdefault((made.topic, made.endpoint.kind), []).append(made)
 
     main = find(config.robot.name, config.namespace)
     if config.direct.profile:
         drafts.update((_key(e), e) for e in _profile_endpoints(main))
     for entry in config.expose:
         take(entry, ())
-    configured = list(drafts.values())
+    configured = by_topic(drafts.values())
     for entry in added:
         take(entry, config.discover)
     namespaces = {robot.namespace: robot.name for robot in robots.values()}
-    profiles = [e for robot in robots.values() for e in _profile_endpoints(robot)]
-    shown = same_for_each_topic(drafts.values(), [*profiles, *earlier])
+    shown = same_for_each_topic(drafts.values(), known)
     for exposed in shown:
         check_reserved(exposed, namespaces)
-    made = tuple(unique(not_looser(exposed, configured) for exposed in shown))
+    made = tuple(unique(not_looser(shown, configured)))
     return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
@@ -230,12 +231,13 @@ def _merge(
     entry: ExposeConfig,
     robot: _Robot,
     drafts: dict[tuple[str, str, str], Exposed],
-    known: Sequence[Exposed],
+    known: Mapping[Use, Iterable[Exposed]],
     patterns: Iterable[DiscoverConfig],
 ) -> Exposed:
     """The endpoint of an entry: limits on one of the profile, or a new one, within what is known about the topic."""
     assert entry.name is not None
-    own = [e for e in [*drafts.values(), *_profile_endpoints(robot)] if (e.robot, e.label) == (robot.name, entry.name)]
+    mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
+    own = [*mine, *(e for e in _profile_endpoints(robot) if e.label == entry.name)]
     base = next(
         (e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None
     )
@@ -270,8 +272,9 @@ def _merge(
         )
     check_endpoint(bare)
     topic = bare.topic if bare.topic.startswith("/") else f"/{robot.namespace}/{bare.topic}"
-    held = limits_of(topic, bare.kind, known)
-    bare = pattern_limits(bare if held is None else tightened_by(bare, held), topic, patterns)
+    for source in known.get((topic, bare.kind), ()):
+        bare = tightened_by(bare, source.endpoint)
+    bare = pattern_limits(bare, topic, patterns)
     nonfinite = frozenset(entry.nonfinite)
     return Exposed(
         robot=robot.name,

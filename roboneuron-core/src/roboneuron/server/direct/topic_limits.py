@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,8 @@ from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES
 if TYPE_CHECKING:
     from roboneuron.server.direct.endpoints import Exposed
 
+Use = tuple[str, str]
+"""Topic and kind."""
 OTHERS = "*"
 """Stands in the limits of a pattern for all numbers of a type that are not named."""
 _SERVICE_OF_A_NODE = re.compile(
@@ -71,17 +73,12 @@ def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
         )
 
 
-def limits_of(topic: str, kind: str, sources: Iterable[Exposed]) -> Endpoint | None:
-    """What holds for a topic: the tightest of every limit in `sources`; None when none is about that topic.
-
-    Raises:
-        ConfigurationError: two of them leave nothing, or are of different types.
-    """
-    made: Endpoint | None = None
-    for source in sources:
-        if (source.topic, source.endpoint.kind) == (topic, kind):
-            made = source.endpoint if made is None else tightened_by(made, source.endpoint)
-    return made
+def by_topic(endpoints: Iterable[Exposed]) -> dict[Use, list[Exposed]]:
+    """Endpoints by topic and kind."""
+    found: dict[Use, list[Exposed]] = {}
+    for exposed in endpoints:
+        found.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
+    return found
 
 
 def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
@@ -90,6 +87,8 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
     Raises:
         ConfigurationError: together they allow nothing, or the types differ.
     """
+    if other is endpoint:
+        return endpoint
     where = f"Endpoints {other.name!r} and {endpoint.name!r} are both {endpoint.topic!r}"
     if endpoint.type != other.type:
         raise ConfigurationError(f"{where}, but of {other.type} and {endpoint.type}.")
@@ -110,7 +109,7 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
     )
 
 
-def same_for_each_topic(drafts: Iterable[Exposed], sources: Sequence[Exposed]) -> list[Exposed]:
+def same_for_each_topic(drafts: Iterable[Exposed], sources: Mapping[Use, Iterable[Exposed]]) -> list[Exposed]:
     """Every name of a topic with the limits of all of them.
 
     Args:
@@ -118,28 +117,27 @@ def same_for_each_topic(drafts: Iterable[Exposed], sources: Sequence[Exposed]) -
         sources: more that limits topics, exposed or not.
     """
     listed = list(drafts)
+    names = by_topic(listed)
     made = []
     for draft in listed:
-        names = [e for e in listed if (e.topic, e.endpoint.kind) == (draft.topic, draft.endpoint.kind)]
-        limits = limits_of(draft.topic, draft.endpoint.kind, [*names, *sources])
-        nonfinite = frozenset.intersection(*(e.nonfinite for e in names))
-        made.append(
-            replace(
-                draft,
-                endpoint=draft.endpoint if limits is None else tightened_by(draft.endpoint, limits),
-                moves=any(e.moves for e in names),
-                nonfinite=nonfinite,
-                interface=load_interface(draft.endpoint.type, nonfinite=nonfinite),
-            )
-        )
+        use = draft.topic, draft.endpoint.kind
+        endpoint = draft.endpoint
+        for source in (*names[use], *sources.get(use, ())):
+            endpoint = tightened_by(endpoint, source.endpoint)
+        nonfinite = frozenset.intersection(*(e.nonfinite for e in names[use]))
+        interface = draft.interface
+        if nonfinite != draft.nonfinite:
+            interface = load_interface(endpoint.type, nonfinite=nonfinite)
+        moves = any(e.moves for e in names[use])
+        made.append(replace(draft, endpoint=endpoint, moves=moves, nonfinite=nonfinite, interface=interface))
     return made
 
 
-def not_looser(exposed: Exposed, before: Iterable[Exposed]) -> Exposed:
-    """What run time adds to a topic of the configuration moves as it did, and may hold no more than it did."""
-    use = exposed.topic, exposed.endpoint.kind
-    same = [e for e in before if (e.topic, e.endpoint.kind) == use]
-    return same_for_each_topic([exposed, *same], ())[0] if same else exposed
+def not_looser(drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]) -> Iterator[Exposed]:
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold more than it did."""
+    for draft in drafts:
+        same = before.get((draft.topic, draft.endpoint.kind), ())
+        yield same_for_each_topic([draft, *same], {})[0] if same else draft
 
 
 def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
