@@ -192,9 +192,7 @@ class RobotModule(Module):
             self.status.dropped.add("refused_command")
             self.status.set_error(error)
             return
-        if (
-            self._must_hold()
-        ):  # it began between taking the command and sending it, and its own hold may have been first
+        if self._must_hold():  # since it was taken: the hold of that came before the command
             self._driver.hold()
             return
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
