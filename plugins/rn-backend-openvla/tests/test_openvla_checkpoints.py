@@ -195,13 +195,13 @@ def test_the_first_release_has_one_tower_and_another_prompt(tmp_path):
     checkpoint = Checkpoint.read(tmp_path / "v01")
     assert checkpoint.is_vicuna
     assert checkpoint.vision.projector == (32, 16, 16)
-    encoder = PromptEncoder(tmp_path / "v01" / "tokenizer.json", "v01")
+    encoder = PromptEncoder(tmp_path / "v01" / "tokenizer.json", "v01", base=32000, embeddings=32064)
     assert encoder.to_text("Go").endswith("USER: What action should the robot take to go? ASSISTANT:")
 
 
 def test_ids_are_those_of_the_tokenizer_file_and_the_final_one_is_added_once(tmp_path):
     write_tokenizer(tmp_path / "tokenizer.json")
-    encoder = PromptEncoder(tmp_path / "tokenizer.json", "v02")
+    encoder = PromptEncoder(tmp_path / "tokenizer.json", "v02", base=32000, embeddings=32064)
     text = encoder.to_text("pick up the cube")
     plain = Tokenizer.from_file(str(tmp_path / "tokenizer.json")).encode(text).ids
     assert encoder.to_ids(text).tolist() == [*plain, 29871]

@@ -65,7 +65,13 @@ class StateLayout:
     @property
     def width(self) -> int:
         """Number of values."""
-        return sum(len(self.joint_names) if term == "joints" else _WIDTHS.get(term, 1) for term in self.terms)
+        return len(self.columns)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The term that each value belongs to."""
+        counts = {"joints": len(self.joint_names), **_WIDTHS}
+        return tuple(term for term in self.terms for _ in range(counts.get(term, 1)))
 
     def build(self, observation: Observation) -> F64:
         """float64 (width,) in the training data's units.

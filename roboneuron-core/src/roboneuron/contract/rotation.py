@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 _SMALL_ANGLE_RAD = 1e-8
 DOWN_ROTVEC_RAD = (np.pi, 0.0, 0.0)
-"""Rotation vector [rad] of a gripper that points straight down, x forward; the TCP's z axis points out of the gripper."""
+"""Rotation vector [rad] of a gripper that points down, x forward; the z axis of the TCP points out of the gripper."""
 
 
 def matrix_from_rotvec(rotvec_rad: F64) -> F64:
