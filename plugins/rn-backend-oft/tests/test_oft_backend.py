@@ -17,6 +17,7 @@ from rn_backend_openvla.tiny import write_tokenizer
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from roboneuron.contract import Frame, Observation, Pose
+from roboneuron.contract.decoding import RowsReply
 from roboneuron.contract.rotation import matrix_from_rotvec, matrix_from_rpy, quaternion_from_matrix
 from roboneuron.errors import CheckpointError, ConfigurationError, UngroundedError, UnsafeError
 
@@ -156,9 +157,27 @@ def test_own_constants_are_said_field_by_field(tiny):
 def test_a_checkpoint_without_head_decodes_bins(complete):
     for file in complete.glob("*_checkpoint.pt"):
         file.unlink()
-    backend = _backend(complete, head="tokens", proprio=False)
+    backend = _backend(complete, head="tokens", proprio=False, max_outside_share=1.0)  # random weights decode any id
     backend.load()
     assert backend.predict(_observation()).actions.shape == (8, 7)
+
+
+@pytest.mark.parametrize(("outside", "refused"), [(0, False), (8, False), (9, True), (56, True)])
+def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above_the_share(complete, outside, refused):
+    for file in complete.glob("*_checkpoint.pt"):
+        file.unlink()
+    backend = _backend(complete, head="tokens", proprio=False)
+    backend.load()
+    tokens = np.full(56, 31900, dtype=np.float32)
+    tokens[:outside] = 17
+    backend._runtime.run = lambda request: RowsReply(values=tokens)
+    if refused:
+        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are no action tokens"):
+            backend.predict(_observation())
+        return
+    chunk = backend.predict(_observation())
+    assert chunk.metrics["tokens_outside_actions"] == outside
+    assert bool(chunk.note) == bool(outside)
 
 
 @pytest.mark.parametrize("component", ["action_head", "proprio_projector"])

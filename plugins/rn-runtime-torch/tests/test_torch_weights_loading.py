@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import subprocess
 import sys
 
@@ -75,6 +76,30 @@ def test_a_pickle_with_code_in_it_is_not_executed(toy, tmp_path):
     bad = Shard(path=tmp_path / "head.pt", weights={"x": Weight(shape=(1,), target="")})
     with pytest.raises(CheckpointError, match="truncated or damaged"):
         TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
+    torch.save({"x": Bomb()}, tmp_path / "head.pt")
+    with pytest.raises(CheckpointError, match=r"holds a sys\.exit, expected tensors only; nothing in it was executed"):
+        TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
+
+
+@pytest.mark.parametrize("kind", [torch.int64, torch.uint8, torch.bool, torch.complex64])
+@pytest.mark.parametrize("suffix", ["safetensors", "pt"])
+def test_weights_are_real_numbers(toy, tmp_path, kind, suffix):
+    shard = _shard_with(toy, NORM)
+    tensors = load_file(shard.path)
+    tensors[NORM] = tensors[NORM].to(kind)
+    path = tmp_path / f"changed.{suffix}"
+    (save_file if suffix == "safetensors" else torch.save)(tensors, path)
+    others = [dataclasses.replace(s, path=path) if s.path == shard.path else s for s in toy.model().shards]
+    with pytest.raises(CheckpointError, match=f"1 of a number type that no weight has: {NORM}"):
+        TorchRuntime().load(dataclasses.replace(toy.model(), shards=tuple(others)))
+
+
+def test_a_pipe_instead_of_a_shard_is_refused_and_not_waited_for(toy):
+    path = _shard_with(toy, NORM).path
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(CheckpointError, match="not a regular file"):
+        TorchRuntime().load(toy.model())
 
 
 def test_a_state_dictionary_saved_by_torch_is_read_too(toy, tmp_path):

@@ -16,8 +16,8 @@ Name = Annotated[str, Field(max_length=200)]
 Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]
 Count = Annotated[int, Field(ge=1, le=512, strict=True)]
 Image = Literal[224]
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-10, le=10)]
-Spread = Annotated[float, Field(allow_inf_nan=False, ge=1e-3, le=10)]
+Level = Annotated[float, Field(ge=0, le=1)]
+Spread = Annotated[float, Field(ge=1e-3, le=1)]
 
 
 class TextConfig(BaseModel):
@@ -32,7 +32,7 @@ class TextConfig(BaseModel):
     num_attention_heads: Count = 32
     num_key_value_heads: Count | None = None
     vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 32000
-    rms_norm_eps: Annotated[float, Field(gt=0, le=0.01)] = 1e-6
+    rms_norm_eps: Annotated[float, Field(ge=1e-12, le=0.01)] = 1e-6
     rope_theta: Annotated[float, Field(ge=100, le=1e8)] = 10000.0
     rope_scaling: dict[Name, Any] | None = None
     max_position_embeddings: Annotated[int, Field(ge=1, le=32_768, strict=True)] = 2048
@@ -94,11 +94,14 @@ class ModelConfig(BaseModel):
 
 
 class Normalize(BaseModel):
-    """Pixel normalisation of one tower. Trusted over the keys `means` and `stds`, which training did not use."""
+    """Pixel normalisation of one tower, on values from 0 to 1.
+
+    Trusted over the keys `means` and `stds`, which training did not use.
+    """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    mean: tuple[Finite, Finite, Finite]
+    mean: tuple[Level, Level, Level]
     std: tuple[Spread, Spread, Spread]
 
 

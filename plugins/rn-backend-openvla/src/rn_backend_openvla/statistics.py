@@ -107,9 +107,11 @@ def choose_statistics(
 
     Raises:
         ConfigurationError: no such data set, or several and none named; lists the choices.
-        CheckpointError: the limits of its actions are out of order.
+        CheckpointError: there is none at all, or the limits of its actions are out of order.
     """
-    choices = list_names(sorted(known)) or "none"
+    if not known:
+        raise CheckpointError(f"{source} holds no statistics of a data set.", hint="Copy the original file.")
+    choices = list_names(sorted(known))
     if key is None:
         if len(known) != 1:
             raise ConfigurationError(

@@ -15,7 +15,7 @@ FileName = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x
 Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]
 Inner = Annotated[int, Field(ge=1, le=262_144, strict=True)]
 Count = Annotated[int, Field(ge=1, le=256, strict=True)]
-Epsilon = Annotated[float, Field(gt=0, le=0.01)]
+Epsilon = Annotated[float, Field(ge=1e-12, le=0.01)]
 Vector = Annotated[
     tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...], Field(min_length=1, max_length=256)
 ]
@@ -140,7 +140,7 @@ class Step(_Document):
 class StepConfig(_Document):
     """What is used of a step's config."""
 
-    eps: Annotated[float, Field(gt=0, le=0.1)] = 1e-8
+    eps: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-8
     enabled: bool = False
     exclude_joints: Annotated[tuple[Name, ...], Field(max_length=64)] = ("gripper",)
 

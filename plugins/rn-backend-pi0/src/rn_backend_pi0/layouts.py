@@ -196,7 +196,11 @@ def _read_tensors(path: Path) -> dict[str, object]:
     check_file(path, _MAX_STATISTICS_BYTES)
     check_safetensors(path)
     with reading(path, "safetensors"):
-        return {name: values.tolist() for name, values in load_file(path).items()}
+        tensors = load_file(path)
+    for name, values in tensors.items():
+        if values.dtype.kind != "f":
+            raise CheckpointError(f"{path}: {clip(name)!r} has the number type {values.dtype}, expected real numbers.")
+    return {name: values.tolist() for name, values in tensors.items()}
 
 
 def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Checkpoint:
