@@ -21,7 +21,7 @@ MAX_MESSAGE = 2500
 """Twelve names of tensors with their shapes, in two shards."""
 MAX_GROWTH_BYTES = 400e6
 """A JSON file of 8 MiB may take twenty times as much when parsed; the model itself has 3 MB."""
-LAYOUTS = {"openvla": 440, "oft": 640, "pi0-lerobot": 740, "pi0-openpi": 440}
+LAYOUTS = {"openvla": 440, "oft": 640, "pi0-lerobot": 720, "pi0-openpi": 440}
 """Layouts, and how many damages there are at least."""
 
 

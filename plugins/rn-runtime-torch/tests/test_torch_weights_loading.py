@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_runtime_torch.state_dictionary import read_header
 from rn_runtime_torch.toy import ToyPolicy
 from roboneuron.contract.decoding import Shard, Weight
 from roboneuron.errors import CheckpointError
@@ -170,3 +171,17 @@ def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, 
     )
     slack = 8e6  # allocator, cache and the first run's workspaces
     assert int(run.stdout) <= sum(sizes) + 1.2 * max(sizes) + slack
+
+
+def test_a_module_saved_by_distributed_training_is_described_as_torch_loads_it(tmp_path):
+    module = torch.nn.ModuleDict({"module": torch.nn.Linear(4, 3).to(torch.bfloat16), "norm": torch.nn.LayerNorm(4)})
+    state = module.state_dict()
+    state["parameter"] = torch.nn.Parameter(torch.zeros(2, 5))
+    state["view"] = torch.arange(12.0).view(3, 4).T
+    path = tmp_path / "action_head--150000_checkpoint.pt"
+    torch.save(state, path)
+    loaded = torch.load(path, weights_only=True)
+    assert {name: tensor.shape for name, tensor in read_header(path).items()} == {
+        name: tuple(tensor.shape) for name, tensor in loaded.items()
+    }
+    assert read_header(path)["module.weight"].kind == "BFloat16"

@@ -99,7 +99,7 @@ PromptLength = Annotated[int, Field(ge=4, le=1024, strict=True)]
 
 
 class Feature(_Document):
-    """One entry of input_features or output_features."""
+    """One entry of input_features."""
 
     type: Name
     shape: Annotated[tuple[Annotated[int, Field(ge=1, le=65_536, strict=True)], ...], Field(max_length=8)] = ()
@@ -110,7 +110,6 @@ class LerobotConfig(DimensionsDocument):
 
     normalization_mapping: Annotated[dict[Name, Name], Field(max_length=16)]
     input_features: Annotated[dict[Name, Feature], Field(max_length=64)]
-    output_features: Annotated[dict[Name, Feature], Field(max_length=64)] = {}
     empty_cameras: Annotated[int, Field(ge=0, le=8, strict=True)] = 0
     chunk_size: Chunk = 50
     n_action_steps: Chunk | None = None
@@ -142,7 +141,7 @@ class StepConfig(_Document):
 
     eps: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-8
     enabled: bool = False
-    exclude_joints: Annotated[tuple[Name, ...], Field(max_length=64)] = ("gripper",)
+    exclude_joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = ("gripper",)
 
 
 class Pipeline(_Document):
