@@ -157,10 +157,8 @@ def _is_relative(steps: dict[str, Step], path: Path) -> bool:
             settings = _settings(steps[name], path)
             enabled = enabled or settings.enabled
             if enabled and settings.exclude_joints != ("gripper",):
-                raise CheckpointError(
-                    f"{path}: {name} leaves {list_names(settings.exclude_joints or ['nothing'])} absolute; only 'gripper' can be "
-                    "followed."
-                )
+                kept = list_names(settings.exclude_joints or ()) or "nothing"
+                raise CheckpointError(f"{path}: {name} leaves {kept} absolute; only 'gripper' can be followed.")
     return enabled
 
 
