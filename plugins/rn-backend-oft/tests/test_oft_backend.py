@@ -17,7 +17,8 @@ from rn_backend_openvla.tiny import write_tokenizer
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from roboneuron.contract import Frame, Observation, Pose
-from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
+from roboneuron.contract.decoding import RowsReply
+from roboneuron.contract.rotation import matrix_from_rotvec, matrix_from_rpy, quaternion_from_matrix
 from roboneuron.errors import CheckpointError, ConfigurationError, UngroundedError, UnsafeError
 
 POSE = Pose(
@@ -120,12 +121,19 @@ def test_state_of_libero_is_position_rotation_vector_and_fingers():
     np.testing.assert_allclose(state, [1.4, -0.1, 0.3, 0.2, -1.1, 0.4, 0.02, -0.02], atol=1e-12)
 
 
-def test_state_of_bridge_is_position_angles_and_opening():
-    state = read_state(_observation(), "xyz_rpy_opening", finger_travel_m=0.04, origin_m=np.zeros(3))
-    roll, pitch, yaw = state[3:6]
-    x, y, z = (matrix_from_rotvec(np.eye(3)[i] * angle) for i, angle in enumerate((roll, pitch, yaw)))
-    np.testing.assert_allclose(z @ y @ x, matrix_from_rotvec(np.array([0.2, -1.1, 0.4])), atol=1e-12)
-    np.testing.assert_allclose(state[[0, 1, 2, 6]], [0.4, -0.1, 0.3, 1.0])
+@pytest.mark.parametrize("tilt_rad", [-0.1, 0.0, 0.1])
+def test_state_of_libero_runs_through_pi_where_the_gripper_points_down(tilt_rad):
+    rotation = matrix_from_rotvec(np.array([np.pi + tilt_rad, 0.0, 0.0]))
+    pose = Pose(position_m=np.zeros(3), quaternion_xyzw=quaternion_from_matrix(rotation))
+    state = read_state(_observation(ee_pose=pose), "xyz_rotvec_fingers", finger_travel_m=0.04, origin_m=np.zeros(3))
+    np.testing.assert_allclose(state[3:6], [np.pi + tilt_rad, 0, 0], atol=1e-7)
+
+
+def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
+    down_then_turned = matrix_from_rpy(np.array([0.1, -0.2, 0.3])) @ np.diag([1.0, -1.0, -1.0])
+    pose = Pose(position_m=np.array([0.4, -0.1, 0.3]), quaternion_xyzw=quaternion_from_matrix(down_then_turned))
+    state = read_state(_observation(ee_pose=pose), "xyz_rpy_opening", finger_travel_m=0.04, origin_m=np.zeros(3))
+    np.testing.assert_allclose(state, [0.4, -0.1, 0.3, 0.1, -0.2, 0.3, 1.0], atol=1e-9)
 
 
 def test_two_arm_constants_are_refused_with_the_reason(tiny):
@@ -149,9 +157,27 @@ def test_own_constants_are_said_field_by_field(tiny):
 def test_a_checkpoint_without_head_decodes_bins(complete):
     for file in complete.glob("*_checkpoint.pt"):
         file.unlink()
-    backend = _backend(complete, head="tokens", proprio=False)
+    backend = _backend(complete, head="tokens", proprio=False, max_outside_share=1.0)  # random weights decode any id
     backend.load()
     assert backend.predict(_observation()).actions.shape == (8, 7)
+
+
+@pytest.mark.parametrize(("outside", "refused"), [(0, False), (8, False), (9, True), (56, True)])
+def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above_the_share(complete, outside, refused):
+    for file in complete.glob("*_checkpoint.pt"):
+        file.unlink()
+    backend = _backend(complete, head="tokens", proprio=False)
+    backend.load()
+    tokens = np.full(56, 31900, dtype=np.float32)
+    tokens[:outside] = 17
+    backend._runtime.run = lambda request: RowsReply(values=tokens)
+    if refused:
+        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are no action tokens"):
+            backend.predict(_observation())
+        return
+    chunk = backend.predict(_observation())
+    assert chunk.metrics["tokens_outside_actions"] == outside
+    assert bool(chunk.note) == bool(outside)
 
 
 @pytest.mark.parametrize("component", ["action_head", "proprio_projector"])

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from roboneuron.contract import Frame, Observation, Pose
+from roboneuron.contract.decoding import TokenReply
 from roboneuron.errors import ConfigurationError, NotReadyError, UngroundedError, UnsafeError
 
 OWN = {
@@ -68,7 +72,6 @@ def test_the_instruction_reaches_the_model_in_lower_case(backend):
 
 def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(tiny):
     """The seam of a runtime that never sees weights: only the text and the RGB image, only ids back."""
-    from roboneuron.contract.decoding import TokenReply
 
     class Served:
         def load(self, model, acceleration=None):
@@ -169,3 +172,76 @@ def test_the_same_observation_gives_the_same_action(backend):
     observation = _observation(120)
     first, second = (backend.predict(dataclasses.replace(observation)).actions for _ in range(2))
     np.testing.assert_array_equal(first, second)
+
+
+class _Says:
+    """A runtime that answers with given tokens."""
+
+    def __init__(self, tokens):
+        self.tokens = np.array(tokens)
+
+    def load(self, model, acceleration=None): ...
+
+    def run(self, request):
+        return TokenReply(tokens=self.tokens)
+
+    def close(self): ...
+
+
+def _saying(tiny, tokens, **options) -> OpenVlaBackend:
+    backend = OpenVlaBackend(OpenVlaConfig(checkpoint=tiny, profile="libero", **options), runtime=_Says(tokens))
+    backend.load()
+    return backend
+
+
+@pytest.mark.parametrize("token", [0, 31743, 32000, 32063])
+def test_one_token_that_is_no_action_is_counted_and_told(tiny, caplog, token):
+    backend = _saying(tiny, [31872] * 6 + [token])
+    first, second = backend.predict(_observation(90)), backend.predict(_observation(90))
+    assert first.metrics["tokens_outside_actions"] == 1
+    assert second.metrics["tokens_outside_actions_total"] == 2
+    assert "1 of 7 tokens are no action tokens" in first.note
+    assert "full-scale" in caplog.text
+
+
+def test_action_tokens_of_both_ends_are_not_counted(tiny):
+    chunk = _saying(tiny, [31744, 31999, 31872, 31872, 31872, 31872, 31745]).predict(_observation(90))
+    assert chunk.metrics["tokens_outside_actions_total"] == 0
+    assert chunk.note == ""
+
+
+def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
+    tokens = [5, 5, 31872, 31872, 31872, 31872, 31872]
+    with pytest.raises(UngroundedError, match=r"2 of 7 tokens are no action tokens, 2 since .*max_outside_share"):
+        _saying(tiny, tokens).predict(_observation(90))
+    assert _saying(tiny, tokens, max_outside_share=0.3).predict(_observation(90)).note
+    with pytest.raises(UngroundedError):
+        _saying(tiny, [5] + [31872] * 6, max_outside_share=0.0).predict(_observation(90))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("truncation", {"direction": "Right", "max_length": 4, "strategy": "LongestFirst", "stride": 0}),
+        (
+            "padding",
+            {
+                "strategy": {"Fixed": 60},
+                "direction": "Right",
+                "pad_to_multiple_of": None,
+                "pad_id": 0,
+                "pad_type_id": 0,
+                "pad_token": "<unk>",
+            },
+        ),
+    ],
+)
+def test_what_a_tokenizer_says_of_cutting_and_padding_is_switched_off(tiny, tmp_path, backend, key, value):
+    changed = Path(shutil.copytree(tiny, tmp_path / "changed"))
+    document = json.loads((changed / "tokenizer.json").read_text())
+    document[key] = value
+    (changed / "tokenizer.json").write_text(json.dumps(document))
+    other = _backend(changed)
+    other.load()
+    text = other._encoder.to_text("pick up the red cube")
+    assert other._encoder.to_ids(text).tolist() == backend._encoder.to_ids(text).tolist()

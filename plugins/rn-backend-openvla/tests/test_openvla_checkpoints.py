@@ -169,7 +169,7 @@ def test_statistics_of_another_width_are_refused(complete):
     ("changes", "words"),
     [
         ({"vision_backbone_id": "clip-vit-l"}, "'clip-vit-l', expected one of dinosiglip"),
-        ({"image_resize_strategy": "letterbox"}, "letterbox"),
+        ({"image_resize_strategy": "letterbox"}, r"config.json: image_resize_strategy is 'letterbox', only"),
         ({"text_config": {"model_type": "mistral"}}, "model_type is 'mistral'"),
         ({"text_config": {"rope_scaling": {"factor": 2.0}}}, "rope_scaling"),
     ],
@@ -195,13 +195,13 @@ def test_the_first_release_has_one_tower_and_another_prompt(tmp_path):
     checkpoint = Checkpoint.read(tmp_path / "v01")
     assert checkpoint.is_vicuna
     assert checkpoint.vision.projector == (32, 16, 16)
-    encoder = PromptEncoder(tmp_path / "v01" / "tokenizer.json", "v01")
+    encoder = PromptEncoder(tmp_path / "v01" / "tokenizer.json", "v01", base=32000, embeddings=32064)
     assert encoder.to_text("Go").endswith("USER: What action should the robot take to go? ASSISTANT:")
 
 
 def test_ids_are_those_of_the_tokenizer_file_and_the_final_one_is_added_once(tmp_path):
     write_tokenizer(tmp_path / "tokenizer.json")
-    encoder = PromptEncoder(tmp_path / "tokenizer.json", "v02")
+    encoder = PromptEncoder(tmp_path / "tokenizer.json", "v02", base=32000, embeddings=32064)
     text = encoder.to_text("pick up the cube")
     plain = Tokenizer.from_file(str(tmp_path / "tokenizer.json")).encode(text).ids
     assert encoder.to_ids(text).tolist() == [*plain, 29871]
@@ -244,3 +244,29 @@ def test_expected_weights_of_the_public_model_are_as_many_as_it_has():
     assert count("vision_backbone.fused_featurizer.") == (342, 427_680_704)
     assert round(count("projector.")[1] / 1e6, 1) == 71.4
     assert round(count("")[1] / 1e9, 3) == 7.541
+
+
+def test_letterbox_in_the_processor_is_named_as_such(complete):
+    """The message named the strategy of the other file: resizes by 'resize-naive', only 'resize-naive' ..."""
+    _edit(complete / "preprocessor_config.json", tvf_do_letterbox=True)
+    with pytest.raises(CheckpointError, match=r"preprocessor_config\.json: tvf_do_letterbox is true"):
+        _load(complete)
+    _edit(complete / "preprocessor_config.json", tvf_do_letterbox=False, image_resize_strategy="letterbox")
+    with pytest.raises(CheckpointError, match=r"preprocessor_config\.json: image_resize_strategy is 'letterbox'"):
+        _load(complete)
+
+
+def test_limits_out_of_order_are_refused_for_the_chosen_data_set_only(complete):
+    stats = json.loads((complete / "config.json").read_text())["norm_stats"]["toy_suite"]
+    swapped = json.loads(json.dumps(stats))
+    swapped["action"]["q01"], swapped["action"]["q99"] = stats["action"]["q99"], stats["action"]["q01"]
+    _edit(complete / "config.json", norm_stats={"good": stats, "bad": swapped})
+    _load(complete, unnorm_key="good")
+    with pytest.raises(CheckpointError, match=r"'bad', action, do not hold min <= q01 <= q99 <= max at value 0"):
+        _load(complete, unnorm_key="bad")
+
+
+def test_action_tokens_are_counted_from_where_the_tokenizer_ends(complete):
+    _edit(complete / "config.json", pad_to_multiple_of=63)
+    with pytest.raises(CheckpointError, match=r"has 32000 ids, config\.json says 32001"):
+        _load(complete)

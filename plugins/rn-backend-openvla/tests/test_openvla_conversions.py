@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from rn_backend_openvla.bins import ActionBins
 from rn_backend_openvla.config import OpenVlaConfig
 from rn_backend_openvla.preprocessing import Preprocessor, TowerPixels
-from rn_backend_openvla.profiles import PROFILES, ActionProfile, rotvec_from_rpy, rpy_from_rotvec
+from rn_backend_openvla.profiles import PROFILES, ActionProfile
 from rn_backend_openvla.statistics import Scaling, VectorStatistics
 from roboneuron.contract import Pose
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
@@ -100,11 +100,6 @@ def test_tool_frame_chunks_end_where_moving_along_the_tool_ends():
         moved, turned = moved + row[:3], matrix_from_rotvec(row[3:6]) @ turned
     np.testing.assert_allclose(moved, position, atol=1e-12)
     np.testing.assert_allclose(turned, rotation, atol=1e-12)
-
-
-@given(rpy=st.tuples(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3)))
-def test_roll_pitch_yaw_survive_the_way_through_a_rotation_vector(rpy):
-    np.testing.assert_allclose(rpy_from_rotvec(rotvec_from_rpy(np.array(rpy))), rpy, atol=1e-9)
 
 
 def test_edge_tokens_give_the_values_of_the_original():

@@ -15,6 +15,8 @@ from safetensors.torch import load_file, save_file
 
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.model import Pi0Model
+from rn_backend_pi0.native import Pi0Backend
+from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.weights import load_network
 from roboneuron.errors import CheckpointError
 
@@ -101,7 +103,7 @@ def test_a_truncated_file_is_refused(copy: Path) -> None:
 
 def test_absent_weights_are_refused(copy: Path) -> None:
     (copy / "model.safetensors").unlink()
-    with pytest.raises(CheckpointError, match=r"model\.safetensors is missing"):
+    with pytest.raises(CheckpointError, match=r"model\.safetensors does not exist"):
         _load(copy)
 
 
@@ -123,7 +125,7 @@ def test_shards_and_plain_keys_give_the_same_network(copy: Path, tiny_checkpoint
 
 def test_a_shard_that_is_missing_is_named(copy: Path) -> None:
     (copy / "model.safetensors.index.json").write_text(json.dumps({"weight_map": {"a": "model-2.safetensors"}}))
-    with pytest.raises(CheckpointError, match=r"model-2\.safetensors is missing"):
+    with pytest.raises(CheckpointError, match=r"model-2\.safetensors does not exist"):
         _load(copy)
 
 
@@ -169,7 +171,7 @@ def test_the_statistics_are_found_by_their_state_file_whatever_the_step_number(c
 
 def test_a_state_file_outside_the_directory_is_refused(copy: Path) -> None:
     _edit_json(copy / "policy_preprocessor.json", lambda d: d["steps"][0].update(state_file="../../secret"))
-    with pytest.raises(CheckpointError, match="file name"):
+    with pytest.raises(CheckpointError, match="state_file"):
         read_checkpoint(copy)
 
 
@@ -239,3 +241,28 @@ def test_the_openpi_layout_of_the_golden_weights_gives_the_golden_actions(
     images = [golden["in/image_base"], golden["in/image_wrist"], None]
     out = model.infer(images, tokens, golden["in/state_raw"], golden["in/noise"][0])
     np.testing.assert_allclose(out, golden["out/main/actions_norm_openpi"], atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize(("column", "refused"), [(3, True), (6, False), (7, True)])
+def test_only_the_padding_column_of_bridge_may_have_no_spread(
+    tiny_openpi_checkpoint: Path, tmp_path: Path, column: int, refused: bool
+) -> None:
+    copy = Path(shutil.copytree(tiny_openpi_checkpoint, tmp_path / "copy"))
+    path = copy / "assets" / "tiny" / "norm_stats.json"
+    _edit_json(path, lambda d: d["norm_stats"]["state"]["std"].__setitem__(column, 0.0))
+    backend = Pi0Backend(Pi0Options(checkpoint=copy, device="cpu", profile="bridge"))
+    if refused:
+        with pytest.raises(CheckpointError, match=rf"the state values {column} \("):
+            backend.load()
+    else:
+        backend.load()
+    backend.close()
+
+
+def test_a_tokenizer_with_ids_beyond_the_embedding_is_refused_when_it_is_loaded(copy: Path) -> None:
+    def edit(document: dict[str, Any]) -> None:
+        document["model"]["vocab"]["zebra"] = 5000
+
+    _edit_json(copy / "tokenizer.json", edit)
+    with pytest.raises(CheckpointError, match="knows the id 5000, the model has 640 embeddings"):
+        Pi0Backend(Pi0Options(checkpoint=copy, device="cpu", profile="libero")).load()

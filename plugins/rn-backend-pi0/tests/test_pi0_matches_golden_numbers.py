@@ -63,12 +63,11 @@ def test_the_normalised_state_is_that_of_the_code_that_is_followed(model: Pi0Mod
 
 
 def test_both_layouts_hold_the_same_statistics(golden_directory: Path, tmp_path: Path) -> None:
-    from rn_backend_pi0.documents import read_document
+    from rn_backend_pi0.documents import NormStatsDocument
     from rn_backend_pi0.layouts import _openpi_statistics
+    from roboneuron.plugins.checkpoint_files import read_schema
 
-    source = golden_directory / "norm_stats.json"
-    stats = read_document(source)["norm_stats"]
-    theirs = _openpi_statistics(stats["state"], "state", source)  # type: ignore[index]
+    theirs = _openpi_statistics(read_schema(golden_directory / "norm_stats.json", NormStatsDocument).norm_stats.state)
     ours = read_checkpoint(golden_directory).state
     np.testing.assert_array_equal(theirs.mean, ours.mean)
     np.testing.assert_array_equal(theirs.std, ours.std)

@@ -27,9 +27,9 @@ import numpy as np
 from PIL import Image
 
 from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import policy_model, token_request
+from rn_backend_openvla.policy import policy_model, prompt_encoder, token_request
 from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import PromptEncoder, end_prompt
+from rn_backend_openvla.prompt import end_prompt
 from rn_backend_openvla.tiny import make_tiny, write_tokenizer
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.process import ManagedServer
@@ -206,7 +206,7 @@ def check_tiny(
     options: argparse.Namespace, tiny: Fixture, golden: Fixture, served: SglangRuntime, connect: Connect
 ) -> bool:
     """Tokens, faults and latency with the tiny checkpoint."""
-    encoder = PromptEncoder(tiny.checkpoint.path / "tokenizer.json", "v02")
+    encoder = prompt_encoder(tiny.checkpoint, "v02")
     generator = np.random.default_rng(0)
     requests = [
         tiny.request(encoder.to_ids(encoder.to_text(prompt)), picture(generator, size))

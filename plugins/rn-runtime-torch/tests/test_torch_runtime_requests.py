@@ -178,3 +178,11 @@ def test_cuda_graphs_answer_as_the_plain_loop_does(toy, family):
         replies = [runtime.run(make(count, seed=count)) for runtime in runtimes]
         values = [reply.tokens if family == "openvla" else reply.values for reply in replies]
         np.testing.assert_allclose(values[0], values[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("ids", [[1, 96, 2], [1, -1, 2], [1, 2**40, 2], []])
+def test_an_id_without_an_embedding_is_refused_before_it_is_looked_up(toy, runtime, ids):
+    request = toy.token_request()
+    prompt = dataclasses.replace(request.prompt, ids=np.array(ids, dtype=np.int64))
+    with pytest.raises(InvalidInputError, match="expected some from 0 to 95"):
+        runtime.run(dataclasses.replace(request, prompt=prompt))

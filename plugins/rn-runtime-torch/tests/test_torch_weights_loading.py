@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_runtime_torch.state_dictionary import read_header
 from rn_runtime_torch.toy import ToyPolicy
 from roboneuron.contract.decoding import Shard, Weight
 from roboneuron.errors import CheckpointError
@@ -75,6 +77,30 @@ def test_a_pickle_with_code_in_it_is_not_executed(toy, tmp_path):
     bad = Shard(path=tmp_path / "head.pt", weights={"x": Weight(shape=(1,), target="")})
     with pytest.raises(CheckpointError, match="truncated or damaged"):
         TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
+    torch.save({"x": Bomb()}, tmp_path / "head.pt")
+    with pytest.raises(CheckpointError, match=r"holds a sys\.exit, expected tensors only; nothing in it was executed"):
+        TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
+
+
+@pytest.mark.parametrize("kind", [torch.int64, torch.uint8, torch.bool, torch.complex64])
+@pytest.mark.parametrize("suffix", ["safetensors", "pt"])
+def test_weights_are_real_numbers(toy, tmp_path, kind, suffix):
+    shard = _shard_with(toy, NORM)
+    tensors = load_file(shard.path)
+    tensors[NORM] = tensors[NORM].to(kind)
+    path = tmp_path / f"changed.{suffix}"
+    (save_file if suffix == "safetensors" else torch.save)(tensors, path)
+    others = [dataclasses.replace(s, path=path) if s.path == shard.path else s for s in toy.model().shards]
+    with pytest.raises(CheckpointError, match=f"1 of a number type that no weight has: {NORM}"):
+        TorchRuntime().load(dataclasses.replace(toy.model(), shards=tuple(others)))
+
+
+def test_a_pipe_instead_of_a_shard_is_refused_and_not_waited_for(toy):
+    path = _shard_with(toy, NORM).path
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(CheckpointError, match="not a regular file"):
+        TorchRuntime().load(toy.model())
 
 
 def test_a_state_dictionary_saved_by_torch_is_read_too(toy, tmp_path):
@@ -145,3 +171,17 @@ def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, 
     )
     slack = 8e6  # allocator, cache and the first run's workspaces
     assert int(run.stdout) <= sum(sizes) + 1.2 * max(sizes) + slack
+
+
+def test_a_module_saved_by_distributed_training_is_described_as_torch_loads_it(tmp_path):
+    module = torch.nn.ModuleDict({"module": torch.nn.Linear(4, 3).to(torch.bfloat16), "norm": torch.nn.LayerNorm(4)})
+    state = module.state_dict()
+    state["parameter"] = torch.nn.Parameter(torch.zeros(2, 5))
+    state["view"] = torch.arange(12.0).view(3, 4).T
+    path = tmp_path / "action_head--150000_checkpoint.pt"
+    torch.save(state, path)
+    loaded = torch.load(path, weights_only=True)
+    assert {name: tensor.shape for name, tensor in read_header(path).items()} == {
+        name: tuple(tensor.shape) for name, tensor in loaded.items()
+    }
+    assert read_header(path)["module.weight"].kind == "BFloat16"

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
-from rn_backend_openvla.bins import ActionBins
+from rn_backend_openvla.bins import ActionBins, OutsideCounter
 from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import action_bins
+from rn_backend_openvla.policy import action_bins, prompt_encoder
 from rn_backend_openvla.preprocessing import Preprocessor
 from rn_backend_openvla.prompt import PromptEncoder
 from rn_backend_openvla.statistics import DatasetStatistics, Scaling, choose_statistics
@@ -50,6 +50,7 @@ class OftBackend:
         self._scaling: Scaling
         self._proprio: Scaling | None = None
         self._bins: ActionBins
+        self._outside: OutsideCounter
         self._visual_tokens = 0
         self._loaded = False
 
@@ -78,11 +79,12 @@ class OftBackend:
             head=config.head,
             proprio_width=self._proprio.width if self._proprio is not None else 0,
         )
-        self._encoder = PromptEncoder(config.checkpoint / "tokenizer.json", "v02")
+        self._encoder = prompt_encoder(checkpoint, "v02")
         self._preprocessor = Preprocessor(
             size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
         )
         self._bins = action_bins(checkpoint)
+        self._outside = OutsideCounter(self._bins, config.max_outside_share)
         model = self._policy.model(config.max_prompt_tokens)
         self._visual_tokens = model.visual_tokens
         self._runtime.load(model, self._acceleration)
@@ -105,13 +107,15 @@ class OftBackend:
             raise ConfigurationError(
                 f"Data set {key!r} has {has} proprio values, the state layout {constants.state!r} gives {width}."
             )
+        statistics.proprio.check_order(f"data set {key!r}, proprio,")
         self._proprio = Scaling.of(statistics.proprio, constants.bounds, _EPSILON)
 
     def predict(self, observation: Observation) -> ActionChunk:
         """A chunk of actions for the newest images and state.
 
         Raises:
-            UngroundedError: a camera or the state is missing from the observation.
+            UngroundedError: a camera or the state is missing from the observation, or too many of the decoded tokens
+                are no action tokens (`head = "tokens"`).
             UnsafeError: the model produced non-finite values.
         """
         if not self._loaded or self._runtime is None:
@@ -138,14 +142,17 @@ class OftBackend:
         reply = self._runtime.run(request)
         if not isinstance(reply, RowsReply):
             raise PluginError(f"The runtime answered {type(reply).__name__}, expected RowsReply.")
-        actions = self._to_contract(reply.values, observation)
+        normalized, outside, note = self._to_normalized(reply.values)
+        actions = self._to_contract(normalized, observation)
         metrics = {
             "preprocess_ms": (prepared - started) * 1e3,
             "inference_ms": (time.perf_counter() - started) * 1e3,
             "visual_tokens": float(self._visual_tokens),
+            **outside,
             **reply.metrics,
         }
-        return ActionChunk(actions=actions[: self._config.execute], step_s=self._profile.step_s, metrics=metrics)
+        played = actions[: self._config.execute]
+        return ActionChunk(actions=played, step_s=self._profile.step_s, metrics=metrics, note=note)
 
     def _normalized_state(self, observation: Observation) -> F32 | None:
         state = read_state(
@@ -156,13 +163,20 @@ class OftBackend:
         )
         return None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
 
-    def _to_contract(self, values: F32, observation: Observation) -> F64:
+    def _to_normalized(self, values: F32) -> tuple[F64, dict[str, float], str]:
+        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and a note on them."""
         shape = (self._constants.chunk, self._constants.action_width)
         if values.size != shape[0] * shape[1]:
             raise PluginError(f"The runtime answered values {values.shape}, expected {shape}.")
-        normalized = values.reshape(shape).astype(np.float64)
-        if self._config.head == "tokens":
-            normalized = self._bins.to_values(normalized.astype(np.int64))
+        if self._config.head == "l1":
+            return values.reshape(shape).astype(np.float64), {}, ""
+        if not np.isfinite(values).all():
+            raise UnsafeError("The model produced non-finite values; nothing was published.")
+        tokens = values.reshape(-1).astype(np.int64)
+        outside, note = self._outside.check(tokens)
+        return self._bins.to_values(tokens).reshape(shape), outside, note
+
+    def _to_contract(self, normalized: F64, observation: Observation) -> F64:
         native = self._scaling.to_units(normalized)
         if not np.isfinite(native).all():
             raise UnsafeError("The model produced non-finite values; nothing was published.")

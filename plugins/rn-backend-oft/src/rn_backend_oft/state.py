@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.constants import StateLayout
-from rn_backend_openvla.profiles import rpy_from_rotvec
 from roboneuron.contract.observation import Observation
-from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_by_down, rpy_by_down
 from roboneuron.errors import ConfigurationError, UngroundedError
 
 F64 = NDArray[np.float64]
@@ -33,8 +32,10 @@ def state_width(layout: StateLayout) -> int:
 def read_state(observation: Observation, layout: StateLayout, *, finger_travel_m: float, origin_m: F64) -> F64:
     """Measured state (n,): TCP position [m], then by layout
 
-    - "xyz_rotvec_fingers": rotation vector [rad], both finger joints [m] (the second one negative); as in LIBERO;
-    - "xyz_rpy_opening": roll, pitch, yaw [rad], opening 0 closed .. 1 open; as in BridgeData.
+    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down, both finger joints [m] (the
+      second one negative); as in LIBERO;
+    - "xyz_rpy_opening": roll, pitch, yaw [rad] against a gripper pointing down, opening 0 closed .. 1 open; as in
+      BridgeData.
 
     Raises:
         UngroundedError: pose or gripper is missing or not finite; nothing is put in its place.
@@ -43,12 +44,14 @@ def read_state(observation: Observation, layout: StateLayout, *, finger_travel_m
     if pose is None or opening is None:
         missing = "TCP pose" if pose is None else "gripper opening"
         raise UngroundedError(f"The observation has no {missing}, which the checkpoint's proprioception needs.")
-    rotation = rotvec_from_matrix(matrix_from_quaternion(pose.quaternion_xyzw))
+    rotation = matrix_from_quaternion(pose.quaternion_xyzw)
     position = pose.position_m + origin_m
     if layout == "xyz_rotvec_fingers":
-        state = np.concatenate([position, rotation, [opening * finger_travel_m, -opening * finger_travel_m]])
+        state = np.concatenate(
+            [position, rotvec_by_down(rotation), [opening * finger_travel_m, -opening * finger_travel_m]]
+        )
     else:
-        state = np.concatenate([position, rpy_from_rotvec(rotation), [opening]])
+        state = np.concatenate([position, rpy_by_down(rotation), [opening]])
     if not np.isfinite(state).all():
         raise UngroundedError(f"The measured state holds a non-finite value: {np.round(state, 4).tolist()}.")
     return state

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_openvla.bins import ActionBins
+from rn_backend_openvla.bins import ActionBins, OutsideCounter
 from rn_backend_openvla.checkpoint import Checkpoint
 from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.policy import action_bins, policy_model, token_request
+from rn_backend_openvla.policy import action_bins, policy_model, prompt_encoder, token_request
 from rn_backend_openvla.preprocessing import Preprocessor
 from rn_backend_openvla.prompt import PromptEncoder
 from rn_backend_openvla.statistics import Scaling, choose_statistics
@@ -44,6 +44,7 @@ class OpenVlaBackend:
         self._preprocessor: Preprocessor
         self._scaling: Scaling
         self._bins: ActionBins
+        self._outside: OutsideCounter
         self._visual_tokens = 0
         self._loaded = False
 
@@ -67,11 +68,12 @@ class OpenVlaBackend:
                 f"Data set {key!r} has {self._scaling.width} action values, a single arm's TCP delta has {ACTION_SIZE}."
             )
         template = config.prompt if config.prompt != "auto" else "v01" if checkpoint.is_vicuna else "v02"
-        self._encoder = PromptEncoder(config.checkpoint / "tokenizer.json", template)
+        self._encoder = prompt_encoder(checkpoint, template)
         self._preprocessor = Preprocessor(
             size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
         )
         self._bins = action_bins(checkpoint)
+        self._outside = OutsideCounter(self._bins, config.max_outside_share)
         model = policy_model(checkpoint, action_width=ACTION_SIZE, max_prompt_tokens=config.max_prompt_tokens)
         self._visual_tokens = model.visual_tokens
         self._runtime.load(model, self._acceleration)
@@ -81,7 +83,8 @@ class OpenVlaBackend:
         """One action for the newest image.
 
         Raises:
-            UngroundedError: the camera or the pose is missing from the observation.
+            UngroundedError: the camera or the pose is missing from the observation, or too many of the decoded tokens
+                are no action tokens.
             UnsafeError: the model produced non-finite values.
         """
         if not self._loaded or self._runtime is None:
@@ -108,6 +111,7 @@ class OpenVlaBackend:
         reply = self._runtime.run(request)
         if not isinstance(reply, TokenReply) or reply.tokens.shape != (ACTION_SIZE,):
             raise PluginError(f"The runtime answered {reply!r}, expected {ACTION_SIZE} tokens.")
+        outside, note = self._outside.check(reply.tokens)
         native = self._scaling.to_units(self._bins.to_values(reply.tokens))[None]
         if not np.isfinite(native).all():
             raise UnsafeError("The model produced non-finite values; nothing was published.")
@@ -116,9 +120,10 @@ class OpenVlaBackend:
             "preprocess_ms": (prepared - started) * 1e3,
             "inference_ms": (time.perf_counter() - started) * 1e3,
             "visual_tokens": float(self._visual_tokens),
+            **outside,
             **reply.metrics,
         }
-        return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics)
+        return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics, note=note)
 
     def reset(self) -> None:
         """Nothing is remembered between observations."""

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.errors import UngroundedError
+
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+log = logging.getLogger(__name__)
 
 
 class ActionBins:
@@ -23,7 +28,44 @@ class ActionBins:
         index = np.clip(self._vocabulary - tokens - 1, 0, len(self._centers) - 1)
         return self._centers[index]
 
+    def count_outside(self, tokens: I64) -> int:
+        """How many ids are no action tokens: `to_values` makes full-scale moves of them."""
+        index = self._vocabulary - tokens - 1
+        return int(((index < 0) | (index > len(self._centers))).sum())
+
     def to_tokens(self, values: F64) -> I64:
         """Values (n,), clipped to [-1, 1], -> ids (n,): how the training data were encoded."""
         ids: I64 = self._vocabulary - np.digitize(np.clip(values, -1.0, 1.0), self._edges)
         return ids
+
+
+class OutsideCounter:
+    """Counts tokens that are no action tokens; refuses an answer with too large a share of them.
+
+    Such a token says that the model did not mean an action. The original saturates it to the end of the range.
+    """
+
+    def __init__(self, bins: ActionBins, max_share: float) -> None:
+        self._bins = bins
+        self._max_share = max_share
+        self.total = 0
+
+    def check(self, tokens: I64) -> tuple[dict[str, float], str]:
+        """Metrics and a note (empty when all is well) for the chunk made of `tokens` (n,).
+
+        Raises:
+            UngroundedError: more than `max_share` of the tokens are outside; no action is made of them.
+        """
+        outside = self._bins.count_outside(tokens)
+        self.total += outside
+        metrics = {"tokens_outside_actions": float(outside), "tokens_outside_actions_total": float(self.total)}
+        if not outside:
+            return metrics, ""
+        note = f"{outside} of {tokens.size} tokens are no action tokens"
+        if outside > self._max_share * tokens.size:
+            raise UngroundedError(
+                f"The model's answer was refused: {note}, {self.total} since it was loaded.",
+                hint="Check checkpoint, prompt and camera image; `max_outside_share` says how many are let through.",
+            )
+        log.warning("%s and count as full-scale moves; %d since the model was loaded", note, self.total)
+        return metrics, f"{note} and count as full-scale moves"

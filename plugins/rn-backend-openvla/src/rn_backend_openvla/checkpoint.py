@@ -6,28 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from rn_backend_openvla.layout import TowerShape, VisionShape, expected_weights
-from rn_backend_openvla.model_files import (
-    Index,
-    ModelConfig,
-    ProcessorConfig,
-    TextConfig,
-    first_problem,
-    read_json,
-    read_model,
-)
+from rn_backend_openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
 from rn_backend_openvla.preprocessing import TowerPixels
-from rn_backend_openvla.statistics import DatasetStatistics
+from rn_backend_openvla.statistics import DatasetStatistics, Key
 from roboneuron.contract.decoding import DecoderShape, Shard
 from roboneuron.errors import CheckpointError
+from roboneuron.plugins.checkpoint_files import check_schema, clip, list_names, read_json, read_schema
 
 _DINO = TowerShape(width=1024, depth=24, heads=16, intermediate=4096, prefix_tokens=5, layer_scale=True, pooled=False)
 _SIGLIP = TowerShape(width=1152, depth=27, heads=16, intermediate=4304, prefix_tokens=0, layer_scale=False, pooled=True)
 _MLP_RATIO = MappingProxyType({True: 4.0, False: 3.7362})
 """Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions of the two models."""
+_MAX_INDEX_BYTES = 16 * 2**20
 BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
     {"dinosiglip-vit-so-224px": (_DINO, _SIGLIP), "siglip-vit-so400m": (_SIGLIP,)}
 )
@@ -75,16 +70,13 @@ class Checkpoint:
         config = _read_config(path)
         decoder = _decoder_shape(config.text_config, path)
         vision = VisionShape(towers=_towers(config, path), hidden=decoder.hidden)
-        processor = read_model(path / "preprocessor_config.json", ProcessorConfig)
+        processor = read_schema(path / "preprocessor_config.json", ProcessorConfig)
         if len(processor.tvf_normalize_params) != len(vision.towers):
             raise CheckpointError(
                 f"{path / 'preprocessor_config.json'} normalises for {len(processor.tvf_normalize_params)} towers, "
                 f"the model has {len(vision.towers)}."
             )
-        if processor.tvf_do_letterbox or config.image_resize_strategy != "resize-naive":
-            raise CheckpointError(
-                f"{path} resizes images by {config.image_resize_strategy!r}, only 'resize-naive' is implemented."
-            )
+        _check_resizing(path, config, processor)
         statistics, source = _read_statistics(path, config)
         return cls(
             path=path,
@@ -100,15 +92,30 @@ class Checkpoint:
         )
 
 
+def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig) -> None:
+    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks for it."""
+    for file, strategy in (("config.json", config), ("preprocessor_config.json", processor)):
+        if strategy.image_resize_strategy != "resize-naive":
+            raise CheckpointError(
+                f"{path / file}: image_resize_strategy is {strategy.image_resize_strategy!r}, "
+                "only 'resize-naive' is implemented."
+            )
+    if processor.tvf_do_letterbox:
+        raise CheckpointError(
+            f"{path / 'preprocessor_config.json'}: tvf_do_letterbox is true; padding images to a square (letterbox) is "
+            "not implemented."
+        )
+
+
 def _read_config(path: Path) -> ModelConfig:
     raw = read_json(path / "config.json")
     family = raw.get("model_type") or raw.get("type") if isinstance(raw, dict) else None
     if family != "openvla":
         raise CheckpointError(
-            f"{path} is a checkpoint of the family {family!r}, expected 'openvla'.",
+            f"{path} is a checkpoint of the family {clip(repr(family))}, expected 'openvla'.",
             hint="Choose the backend of that family, or another checkpoint.",
         )
-    return read_model(path / "config.json", ModelConfig)
+    return check_schema(raw, TypeAdapter(ModelConfig), path / "config.json")
 
 
 def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
@@ -122,7 +129,9 @@ def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
     }
     for name, (got, expected) in supported.items():
         if got != expected:
-            raise CheckpointError(f"{path / 'config.json'}: text_config.{name} is {got!r}, expected {expected!r}.")
+            raise CheckpointError(
+                f"{path / 'config.json'}: text_config.{name} is {clip(repr(got))}, expected {expected!r}."
+            )
     return DecoderShape(
         hidden=text.hidden_size,
         intermediate=text.intermediate_size,
@@ -161,31 +170,33 @@ def _towers(config: ModelConfig, path: Path) -> tuple[TowerShape, ...]:
 def _read_statistics(path: Path, config: ModelConfig) -> tuple[Mapping[str, DatasetStatistics], str]:
     """Fine-tuned checkpoints ship a file of their own, which replaces what config.json says."""
     own = path / "dataset_statistics.json"
-    if not own.is_file():
+    if not _is_there(own):
         return config.norm_stats, str(path / "config.json")
-    raw = read_json(own)
-    try:
-        return TypeAdapter(dict[str, DatasetStatistics]).validate_python(raw), str(own)
-    except ValidationError as error:
-        raise CheckpointError(f"{own} does not say what is needed: {first_problem(error)}") from error
+    schema = TypeAdapter(Annotated[dict[Key, DatasetStatistics], Field(max_length=1000)])
+    return check_schema(read_json(own), schema, own), str(own)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether an optional file is listed; a link to nothing counts, so that it is an error and not left out."""
+    return path.is_symlink() or path.exists()
 
 
 def _read_shards(path: Path, vision: VisionShape, decoder: DecoderShape) -> tuple[Shard, ...]:
     expected = expected_weights(vision, decoder)
     index = path / "model.safetensors.index.json"
-    if not index.is_file():
+    if not _is_there(index):
         return (Shard(path=path / "model.safetensors", weights=expected),)
-    files = read_model(index, Index).weight_map
+    files = read_schema(index, Index, _MAX_INDEX_BYTES).weight_map
     missing, extra = sorted(expected.keys() - files.keys()), sorted(files.keys() - expected.keys())
     if missing or extra:
         raise CheckpointError(
-            f"{index} does not list the weights of this model: {len(missing)} missing ({', '.join(missing[:12])}), "
-            f"{len(extra)} unexpected ({', '.join(extra[:12])}).",
+            f"{index} does not list the weights of this model: {len(missing)} missing ({list_names(missing)}), "
+            f"{len(extra)} unexpected ({list_names(extra)}).",
             hint="Check that the checkpoint belongs to this backend and is complete.",
         )
     outside = sorted({name for name in files.values() if Path(name).name != name})
     if outside:
-        raise CheckpointError(f"{index} names files outside its directory: {', '.join(outside)}.")
+        raise CheckpointError(f"{index} names files outside its directory: {list_names(outside)}.")
     return tuple(
         Shard(path=path / file, weights={name: expected[name] for name in files if files[name] == file})
         for file in sorted(set(files.values()))

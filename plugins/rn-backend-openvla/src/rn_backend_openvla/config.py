@@ -57,6 +57,9 @@ class ModelOptions(BaseModel):
     timeout_s: Positive | None = None
     """An inference that takes longer is given up; None waits."""
 
+    max_outside_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.15
+    """Share of decoded tokens that may be no action tokens (they count as full-scale moves); more is refused."""
+
     @model_validator(mode="after")
     def _check_profile(self) -> ModelOptions:
         if (self.profile == "own") != (self.own_profile is not None):

@@ -1,17 +1,23 @@
-"""The JSON files of a checkpoint as typed models; keys that inference does not need are ignored."""
+"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are ignored.
+
+The bounds hold every model of the family with room to spare. They keep a damaged number from costing memory or time
+before it is compared with the tensors it describes.
+"""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rn_backend_openvla.statistics import DatasetStatistics
-from roboneuron.errors import CheckpointError
+from rn_backend_openvla.statistics import DatasetStatistics, Key
 
-M = TypeVar("M", bound=BaseModel)
+Name = Annotated[str, Field(max_length=200)]
+Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]
+Count = Annotated[int, Field(ge=1, le=512, strict=True)]
+Image = Literal[224]
+Level = Annotated[float, Field(ge=0, le=1)]
+Spread = Annotated[float, Field(ge=1e-3, le=1)]
 
 
 class TextConfig(BaseModel):
@@ -19,21 +25,31 @@ class TextConfig(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    model_type: str = "llama"
-    hidden_size: int = 4096
-    intermediate_size: int = 11008
-    num_hidden_layers: int = 32
-    num_attention_heads: int = 32
-    num_key_value_heads: int | None = None
-    vocab_size: int = 32000
-    rms_norm_eps: float = 1e-6
-    rope_theta: float = 10000.0
-    rope_scaling: dict[str, Any] | None = None
-    max_position_embeddings: int = 2048
-    hidden_act: str = "silu"
+    model_type: Name = "llama"
+    hidden_size: Width = 4096
+    intermediate_size: Annotated[int, Field(ge=1, le=262_144, strict=True)] = 11008
+    num_hidden_layers: Count = 32
+    num_attention_heads: Count = 32
+    num_key_value_heads: Count | None = None
+    vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 32000
+    rms_norm_eps: Annotated[float, Field(ge=1e-12, le=0.01)] = 1e-6
+    rope_theta: Annotated[float, Field(ge=100, le=1e8)] = 10000.0
+    rope_scaling: dict[Name, Any] | None = None
+    max_position_embeddings: Annotated[int, Field(ge=1, le=32_768, strict=True)] = 2048
+    hidden_act: Name = "silu"
     attention_bias: bool = False
     mlp_bias: bool = False
     tie_word_embeddings: bool = False
+
+    @model_validator(mode="after")
+    def _check_heads(self) -> TextConfig:
+        heads, groups = self.num_attention_heads, self.num_key_value_heads or self.num_attention_heads
+        if self.hidden_size % heads or (self.hidden_size // heads) % 2 or heads % groups:
+            raise ValueError(
+                f"hidden_size {self.hidden_size}, num_attention_heads {heads} and num_key_value_heads {groups} do not "
+                "divide into heads of an even width"
+            )
+        return self
 
 
 class TinyVision(BaseModel):
@@ -41,9 +57,15 @@ class TinyVision(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    embed_dim: int
-    depth: int
-    num_heads: int
+    embed_dim: Annotated[int, Field(ge=2, le=4096, strict=True)]
+    depth: Annotated[int, Field(ge=2, le=128, strict=True)]
+    num_heads: Annotated[int, Field(ge=1, le=128, strict=True)]
+
+    @model_validator(mode="after")
+    def _check_heads(self) -> TinyVision:
+        if self.embed_dim % self.num_heads:
+            raise ValueError(f"embed_dim {self.embed_dim} is no multiple of num_heads {self.num_heads}")
+        return self
 
 
 class ModelConfig(BaseModel):
@@ -51,23 +73,36 @@ class ModelConfig(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    vision_backbone_id: str
-    llm_backbone_id: str = ""
-    image_resize_strategy: str = "resize-naive"
-    pad_to_multiple_of: int = 64
-    n_action_bins: int = 256
+    vision_backbone_id: Name
+    llm_backbone_id: Name = ""
+    image_resize_strategy: Name = "resize-naive"
+    image_sizes: Annotated[tuple[Image, ...], Field(max_length=2)] | None = None
+    pad_to_multiple_of: Annotated[int, Field(ge=1, le=4096, strict=True)] = 64
+    n_action_bins: Annotated[int, Field(ge=2, le=4096, strict=True)] = 256
     text_config: TextConfig = TextConfig()
-    norm_stats: dict[str, DatasetStatistics] = {}
+    norm_stats: Annotated[dict[Key, DatasetStatistics], Field(max_length=1000)] = {}
     tiny_vision_overrides: TinyVision | None = None
+
+    @model_validator(mode="after")
+    def _check_vocabulary(self) -> ModelConfig:
+        if self.text_config.vocab_size - self.pad_to_multiple_of <= self.n_action_bins:
+            raise ValueError(
+                f"text_config.vocab_size {self.text_config.vocab_size} less pad_to_multiple_of "
+                f"{self.pad_to_multiple_of} leaves no place for n_action_bins {self.n_action_bins}"
+            )
+        return self
 
 
 class Normalize(BaseModel):
-    """Pixel normalisation of one tower. Trusted over the keys `means` and `stds`, which training did not use."""
+    """Pixel normalisation of one tower, on values from 0 to 1.
+
+    Trusted over the keys `means` and `stds`, which training did not use.
+    """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    mean: tuple[float, float, float]
-    std: tuple[float, float, float]
+    mean: tuple[Level, Level, Level]
+    std: tuple[Spread, Spread, Spread]
 
 
 class ProcessorConfig(BaseModel):
@@ -75,8 +110,11 @@ class ProcessorConfig(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    tvf_normalize_params: tuple[Normalize, ...]
+    tvf_normalize_params: Annotated[tuple[Normalize, ...], Field(min_length=1, max_length=2)]
     tvf_do_letterbox: bool = False
+    image_resize_strategy: Name = "resize-naive"
+    input_sizes: Annotated[tuple[tuple[Literal[3], Image, Image], ...], Field(max_length=2)] | None = None
+    interpolations: Annotated[tuple[Literal["bicubic"], ...], Field(max_length=2)] | None = None
 
 
 class Index(BaseModel):
@@ -84,29 +122,10 @@ class Index(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    weight_map: dict[str, str]
-
-
-def read_json(path: Path) -> Any:
-    """The parsed file. Raises CheckpointError when it is absent or damaged."""
-    if not path.is_file():
-        raise CheckpointError(f"{path} does not exist.", hint="Check that the checkpoint is complete.")
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise CheckpointError(f"{path} is not readable JSON: {error}") from error
-
-
-def read_model(path: Path, model: type[M]) -> M:
-    """The parsed and checked file. Raises CheckpointError with the first thing that is wrong."""
-    raw = read_json(path)
-    try:
-        return model.model_validate(raw)
-    except ValidationError as error:
-        raise CheckpointError(f"{path} does not say what is needed: {first_problem(error)}") from error
-
-
-def first_problem(error: ValidationError) -> str:
-    """Where and what the first problem is."""
-    found = error.errors()[0]
-    return f"{'.'.join(map(str, found['loc']))}: {found['msg']}"
+    weight_map: Annotated[
+        dict[
+            Annotated[str, Field(max_length=400)],
+            Annotated[str, Field(max_length=255, pattern=r"^[^\x00-\x1f]+\.safetensors$")],
+        ],
+        Field(max_length=50_000),
+    ]

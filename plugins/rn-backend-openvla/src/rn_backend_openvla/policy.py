@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rn_backend_openvla.bins import ActionBins
 from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.prompt import BOS_ID, FINAL_ID
+from rn_backend_openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder
 from roboneuron.contract.decoding import PolicyModel, Prompt, TokenRequest
 
 F32 = NDArray[np.float32]
@@ -60,6 +60,16 @@ def token_request(
 def action_bins(checkpoint: Checkpoint) -> ActionBins:
     """The checkpoint's action tokens."""
     return ActionBins(checkpoint.action_bins, checkpoint.token_vocabulary)
+
+
+def prompt_encoder(checkpoint: Checkpoint, template: str) -> PromptEncoder:
+    """The checkpoint's tokenizer, compared with its configuration. Raises CheckpointError."""
+    return PromptEncoder(
+        checkpoint.path / "tokenizer.json",
+        template,
+        base=checkpoint.token_vocabulary,
+        embeddings=checkpoint.decoder.vocabulary,
+    )
 
 
 def example_ids(count: int) -> I64:

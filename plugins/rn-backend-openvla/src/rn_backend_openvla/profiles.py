@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract.observation import Pose
-from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from roboneuron.contract.rotation import (
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    matrix_from_rpy,
+    rotvec_from_matrix,
+    rpy_from_matrix,
+)
 from roboneuron.errors import InvalidInputError
 
 F64 = NDArray[np.float64]
@@ -71,7 +77,7 @@ class ActionProfile:
         motion = np.clip(native[:, :6], -1.0, 1.0) if self.clip_units else native[:, :6]
         contract[:, :3] = motion[:, :3] * self.metres_per_unit
         turns = motion[:, 3:] * self.radians_per_unit
-        contract[:, 3:6] = [rotvec_from_rpy(t) for t in turns] if self.rotation == "rpy" else turns
+        contract[:, 3:6] = [rotvec_from_matrix(matrix_from_rpy(t)) for t in turns] if self.rotation == "rpy" else turns
         slope, offset = _GRIPPER[self.gripper]
         opening = np.clip(slope * native[:, 6] + offset, 0.0, 1.0)
         contract[:, 6] = (opening > 0.5).astype(np.float64) if self.gripper_threshold else opening
@@ -96,7 +102,7 @@ class ActionProfile:
                 axes = matrix_from_rotvec(given[3:6]) @ axes
         native[:, :3] /= self.metres_per_unit
         if self.rotation == "rpy":
-            native[:, 3:6] = [rpy_from_rotvec(r) for r in native[:, 3:6]]
+            native[:, 3:6] = [rpy_from_matrix(matrix_from_rotvec(r)) for r in native[:, 3:6]]
         native[:, 3:6] /= self.radians_per_unit
         slope, offset = _GRIPPER[self.gripper]
         native[:, 6] = (native[:, 6] - offset) / slope
@@ -107,19 +113,6 @@ def _tool_axes(tcp: Pose | None) -> F64:
     if tcp is None:
         raise InvalidInputError('Actions in the frame "tcp" need the measured TCP pose, but the observation has none.')
     return matrix_from_quaternion(tcp.quaternion_xyzw)
-
-
-def rotvec_from_rpy(rpy_rad: F64) -> F64:
-    """Roll, pitch, yaw (3,) [rad] about fixed x, y, z -> rotation vector (3,) [rad]."""
-    turns = [matrix_from_rotvec(axis * angle) for axis, angle in zip(np.eye(3), rpy_rad, strict=True)]
-    return rotvec_from_matrix(turns[2] @ turns[1] @ turns[0])
-
-
-def rpy_from_rotvec(rotvec_rad: F64) -> F64:
-    """Rotation vector (3,) [rad] -> roll, pitch, yaw (3,) [rad], pitch in [-pi/2, pi/2]."""
-    m = matrix_from_rotvec(rotvec_rad)
-    pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
-    return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
 
 PROFILES: Mapping[str, ActionProfile] = MappingProxyType(

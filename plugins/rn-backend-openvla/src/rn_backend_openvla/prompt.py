@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tokenizers import Tokenizer
 
 from roboneuron.errors import CheckpointError
+from roboneuron.plugins.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
 
 I64 = NDArray[np.int64]
 
@@ -19,6 +20,7 @@ BOS_ID = 1
 FINAL_ID = 29871
 """The lone word boundary that every prompt ends with; the tokenizer alone does not always give it."""
 
+_ORIGINAL = "Copy tokenizer.json of the original checkpoint there."
 # Source: OpenVLA, prompt builders of the two releases.
 _TEMPLATES: Mapping[str, str] = MappingProxyType(
     {
@@ -35,30 +37,63 @@ _TEMPLATES: Mapping[str, str] = MappingProxyType(
 class PromptEncoder:
     """Instruction -> prompt text and ids, with the checkpoint's own tokenizer."""
 
-    def __init__(self, tokenizer_file: Path, template: str) -> None:
-        """Read the tokenizer. Raises CheckpointError when the file is absent, damaged or adds no first id."""
-        if not tokenizer_file.is_file():
+    def __init__(self, tokenizer_file: Path, template: str, *, base: int, embeddings: int) -> None:
+        """Read the tokenizer.
+
+        Args:
+            tokenizer_file: tokenizer.json.
+            template: "v02" or "v01".
+            base: ids without added ones, as the checkpoint's configuration says; action tokens end there.
+            embeddings: rows of the model's embedding; an id beyond them has no meaning and would break a GPU's context.
+
+        Raises:
+            CheckpointError: the file is absent, damaged, of another model, or adds no first id.
+        """
+        check_file(tokenizer_file, MAX_TOKENIZER_BYTES)
+        with reading(tokenizer_file, "a tokenizer"):
+            self._tokenizer = Tokenizer.from_str(tokenizer_file.read_bytes().decode("utf-8"))
+            # What the file says about both would cut or lengthen the instruction without a word.
+            self._tokenizer.no_truncation()
+            self._tokenizer.no_padding()
+            self._template = _TEMPLATES[template]
+            self._source, self._embeddings = tokenizer_file, embeddings
+            highest = max(FINAL_ID, *self._tokenizer.get_vocab(with_added_tokens=True).values())
+            without_added = self._tokenizer.get_vocab_size(with_added_tokens=False)
+            ids = self._tokenizer.encode(self.to_text("x")).ids
+        if highest >= embeddings:
             raise CheckpointError(
-                f"{tokenizer_file} does not exist.", hint="Copy tokenizer.json of the original checkpoint there."
+                f"{tokenizer_file} knows the id {highest}, the model has {embeddings} embeddings.", hint=_ORIGINAL
             )
-        try:
-            self._tokenizer = Tokenizer.from_file(str(tokenizer_file))
-        except Exception as error:  # the library raises nothing narrower
-            raise CheckpointError(f"{tokenizer_file} cannot be read as a tokenizer: {error}") from error
-        self._template = _TEMPLATES[template]
-        ids = self._tokenizer.encode(self.to_text("x")).ids
+        if without_added != base:
+            raise CheckpointError(
+                f"{tokenizer_file} has {without_added} ids, config.json says {base} (vocab_size less "
+                "pad_to_multiple_of); action tokens are counted from there.",
+                hint=_ORIGINAL,
+            )
         if not ids or ids[0] != BOS_ID:
-            raise CheckpointError(f"{tokenizer_file} begins a prompt with ids {ids[:3]}, expected {BOS_ID} first.")
+            raise CheckpointError(
+                f"{tokenizer_file} begins a prompt with ids {ids[:3]}, expected {BOS_ID} first.", hint=_ORIGINAL
+            )
 
     def to_text(self, instruction: str) -> str:
         """The whole prompt; the instruction is lower-cased, as in training."""
         return self._template.format(instruction=instruction.lower())
 
     def to_ids(self, text: str) -> I64:
-        """Token ids int64 (n,), beginning with BOS_ID and ending with FINAL_ID."""
-        return end_prompt(np.array(self._tokenizer.encode(text).ids, dtype=np.int64))
+        """Token ids int64 (n,), beginning with BOS_ID and ending with FINAL_ID.
+
+        Raises:
+            CheckpointError: the tokenizer gives an id that the model does not know.
+        """
+        with reading(self._source, "a tokenizer"):
+            ids = end_prompt(np.array(self._tokenizer.encode(text).ids, dtype=np.int64))
+        if not 0 <= ids.min() <= ids.max() < self._embeddings:
+            raise CheckpointError(
+                f"{self._source} gives the id {ids.max()}, the model has {self._embeddings} embeddings.", hint=_ORIGINAL
+            )
+        return ids
 
 
 def end_prompt(ids: I64) -> I64:
     """Append FINAL_ID unless the ids already end with it."""
-    return ids if ids[-1] == FINAL_ID else np.append(ids, FINAL_ID)
+    return ids if ids.size and ids[-1] == FINAL_ID else np.append(ids, FINAL_ID)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import CheckpointError, ConfigurationError
+from roboneuron.plugins.checkpoint_files import clip, list_names
 
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]
+Key = Annotated[str, Field(max_length=200)]
+"""Name of a data set."""
+Values = Annotated[tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...], Field(max_length=256)]
 
 
 class VectorStatistics(BaseModel):
@@ -21,20 +25,32 @@ class VectorStatistics(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    min: tuple[float, ...]
-    max: tuple[float, ...]
-    q01: tuple[float, ...]
-    q99: tuple[float, ...]
-    mask: tuple[bool, ...] | None = None
+    min: Values
+    max: Values
+    q01: Values
+    q99: Values
+    mask: Annotated[tuple[bool, ...], Field(max_length=256)] | None = None
 
     @model_validator(mode="after")
     def _check_widths(self) -> VectorStatistics:
         widths = {len(self.min), len(self.max), len(self.q01), len(self.q99), len(self.mask or self.min)}
         if len(widths) != 1:
             raise ValueError(f"min, max, q01, q99 and mask have different widths: {sorted(widths)}")
-        if not np.isfinite([*self.min, *self.max, *self.q01, *self.q99]).all():
-            raise ValueError("min, max, q01 or q99 holds NaN or infinity")
         return self
+
+    def check_order(self, what: str) -> None:
+        """Raise CheckpointError unless min <= q01 <= q99 <= max, but for rounding, for every value that is scaled."""
+        low, q01, q99, high = (np.array(v) for v in (self.min, self.q01, self.q99, self.max))
+        slack = 1e-3 * (high - low)
+        ordered = (low <= high) & (low - slack <= q01) & (q01 <= q99) & (q99 <= high + slack)
+        bad = ~ordered & (np.ones(len(low), dtype=bool) if self.mask is None else np.array(self.mask))
+        if bad.any():
+            at = int(np.argmax(bad))
+            raise CheckpointError(
+                f"The statistics of {what} do not hold min <= q01 <= q99 <= max at value {at}: "
+                f"{low[at]:g}, {q01[at]:g}, {q99[at]:g}, {high[at]:g}.",
+                hint="Copy dataset_statistics.json or config.json of the original checkpoint again.",
+            )
 
 
 class DatasetStatistics(BaseModel):
@@ -91,16 +107,21 @@ def choose_statistics(
 
     Raises:
         ConfigurationError: no such data set, or several and none named; lists the choices.
+        CheckpointError: there is none at all, or the limits of its actions are out of order.
     """
-    choices = ", ".join(sorted(known)) or "none"
+    if not known:
+        raise CheckpointError(f"{source} holds no statistics of a data set.", hint="Copy the original file.")
+    choices = list_names(sorted(known))
     if key is None:
-        if len(known) == 1:
-            return next(iter(known.items()))
-        raise ConfigurationError(
-            f"unnorm_key is not set, but {source} holds {len(known)} data sets.", hint=f"Choose one of: {choices}."
-        )
+        if len(known) != 1:
+            raise ConfigurationError(
+                f"unnorm_key is not set, but {source} holds {len(known)} data sets.",
+                hint=f"Choose one of: {choices}.",
+            )
+        key = next(iter(known))
     if key not in known:
         raise ConfigurationError(
-            f"unnorm_key is {key!r}, but {source} holds no such data set.", hint=f"Choose one of: {choices}."
+            f"unnorm_key is {clip(key)!r}, but {source} holds no such data set.", hint=f"Choose one of: {choices}."
         )
+    known[key].action.check_order(f"data set {clip(key)!r}, action,")
     return key, known[key]

@@ -7,9 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from rn_backend_pi0.rpy import matrix_from_rpy, rpy_from_matrix
 from roboneuron.contract import ACTION_SIZE, Pose
-from roboneuron.contract.rotation import F64, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from roboneuron.contract.rotation import (
+    F64,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    matrix_from_rpy,
+    rotvec_from_matrix,
+    rpy_from_matrix,
+)
 from roboneuron.errors import ConfigurationError, UngroundedError, UnsafeError
 
 Meaning = Literal["delta", "absolute"]

@@ -12,30 +12,24 @@ from rn_backend_pi0.architecture import (
     Pi0Dims,
     VisionDims,
 )
-from rn_backend_pi0.documents import Document, take_integer, take_number, take_object
+from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionBlock
 from roboneuron.errors import CheckpointError
 
-_ACTIVATION = "gelu_pytorch_tanh"
 
-
-def read_dims(config: Document, path: Path, *, chunk: int, state: int, action: int) -> Pi0Dims:
+def read_dims(config: DimensionsDocument, path: Path, *, chunk: int, state: int, action: int) -> Pi0Dims:
     """Model dimensions: from the blocks vlm_config and dit_config when there, else by the names of the variants.
 
     Raises:
-        CheckpointError: an unknown variant, or a block this network cannot follow.
+        CheckpointError: an unknown variant, or blocks that do not fit together.
     """
-    if "vlm_config" in config or "dit_config" in config:
-        vlm = take_object(config, "vlm_config", path)
-        text = take_object(vlm, "text_config", path)
-        vision, vocabulary = (
-            _vision(take_object(vlm, "vision_config", path), path),
-            take_integer(text, "vocab_size", path),
-        )
-        prefix, expert = _gemma(text, path), _gemma(take_object(config, "dit_config", path), path)
+    if config.vlm_config is not None and config.dit_config is not None:
+        text = config.vlm_config.text_config
+        vision, vocabulary = _vision(config.vlm_config.vision_config), text.vocab_size or 0
+        prefix, expert = _gemma(text), _gemma(config.dit_config)
     else:
         vision, vocabulary = SO400M, PALIGEMMA_VOCABULARY
-        prefix = _variant(config, "paligemma_variant", path)
-        expert = _variant(config, "action_expert_variant", path)
+        prefix = _variant("paligemma_variant", config.paligemma_variant, path)
+        expert = _variant("action_expert_variant", config.action_expert_variant, path)
     return Pi0Dims(
         vision=vision,
         prefix=prefix,
@@ -44,14 +38,13 @@ def read_dims(config: Document, path: Path, *, chunk: int, state: int, action: i
         chunk=chunk,
         state=state,
         action=action,
-        min_period=take_number(config, "min_period", path, 4e-3),
-        max_period=take_number(config, "max_period", path, 4.0),
+        min_period=config.min_period,
+        max_period=config.max_period,
     )
 
 
-def _variant(config: Document, key: str, path: Path) -> GemmaDims:
-    name = config.get(key)
-    if not isinstance(name, str) or name not in GEMMA_VARIANTS:
+def _variant(key: str, name: str | None, path: Path) -> GemmaDims:
+    if name is None or name not in GEMMA_VARIANTS:
         hint = (
             "Merge the LoRA weights first."
             if str(name).endswith("_lora")
@@ -61,34 +54,26 @@ def _variant(config: Document, key: str, path: Path) -> GemmaDims:
     return GEMMA_VARIANTS[name]
 
 
-def _check_activation(block: Document, keys: tuple[str, ...], path: Path) -> None:
-    for key in keys:
-        if block.get(key, _ACTIVATION) != _ACTIVATION:
-            raise CheckpointError(f"{path}: {key!r} is {block[key]!r}, pi0 uses {_ACTIVATION!r}.")
-
-
-def _vision(block: Document, path: Path) -> VisionDims:
-    _check_activation(block, ("hidden_act",), path)
+def _vision(block: VisionBlock) -> VisionDims:
     return VisionDims(
-        width=take_integer(block, "hidden_size", path),
-        depth=take_integer(block, "num_hidden_layers", path),
-        mlp=take_integer(block, "intermediate_size", path),
-        heads=take_integer(block, "num_attention_heads", path),
-        patch=take_integer(block, "patch_size", path, 14),
-        image=take_integer(block, "image_size", path, 224),
-        norm_eps=take_number(block, "layer_norm_eps", path, 1e-6),
+        width=block.hidden_size,
+        depth=block.num_hidden_layers,
+        mlp=block.intermediate_size,
+        heads=block.num_attention_heads,
+        patch=block.patch_size,
+        image=block.image_size,
+        norm_eps=block.layer_norm_eps,
     )
 
 
-def _gemma(block: Document, path: Path) -> GemmaDims:
-    _check_activation(block, ("hidden_activation", "hidden_act"), path)
+def _gemma(block: GemmaBlock) -> GemmaDims:
     return GemmaDims(
-        width=take_integer(block, "hidden_size", path),
-        depth=take_integer(block, "num_hidden_layers", path),
-        mlp=take_integer(block, "intermediate_size", path),
-        heads=take_integer(block, "num_attention_heads", path),
-        kv_heads=take_integer(block, "num_key_value_heads", path),
-        head_dim=take_integer(block, "head_dim", path),
-        norm_eps=take_number(block, "rms_norm_eps", path, 1e-6),
-        rope_base=take_number(block, "rope_theta", path, 10_000.0),
+        width=block.hidden_size,
+        depth=block.num_hidden_layers,
+        mlp=block.intermediate_size,
+        heads=block.num_attention_heads,
+        kv_heads=block.num_key_value_heads,
+        head_dim=block.head_dim,
+        norm_eps=block.rms_norm_eps,
+        rope_base=block.rope_theta,
     )

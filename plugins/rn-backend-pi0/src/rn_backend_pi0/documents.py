@@ -1,65 +1,190 @@
-"""Reading a checkpoint's JSON documents, with errors that name the file and the key."""
+"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are ignored.
+
+The bounds hold every released pi0 with room to spare. They keep a damaged number from costing memory or time before it
+is compared with the tensors it describes.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from roboneuron.errors import CheckpointError
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Document = Mapping[str, object]
-_MAX_BYTES = 64 * 2**20
-
-
-def read_document(path: Path) -> Document:
-    """The JSON object in `path`.
-
-    Raises:
-        CheckpointError: the file is missing, too large, not JSON, or not an object.
-    """
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise CheckpointError(f"{path} is {path.stat().st_size} bytes long; a JSON file of a checkpoint is not.")
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise CheckpointError(f"{path} cannot be read as JSON: {error}.") from error
-    if not isinstance(value, dict):
-        raise CheckpointError(f"{path} holds a {type(value).__name__}, expected an object.")
-    return value
+Name = Annotated[str, Field(max_length=200)]
+FileName = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f]+$")]
+Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]
+Inner = Annotated[int, Field(ge=1, le=262_144, strict=True)]
+Count = Annotated[int, Field(ge=1, le=256, strict=True)]
+Epsilon = Annotated[float, Field(ge=1e-12, le=0.01)]
+Vector = Annotated[
+    tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...], Field(min_length=1, max_length=256)
+]
+Activation = Literal["gelu_pytorch_tanh"]
 
 
-def take_object(document: Document, key: str, path: Path) -> Document:
-    """The object under `key`. Raises CheckpointError when it is missing or something else."""
-    value = document.get(key)
-    if not isinstance(value, dict):
-        raise CheckpointError(f"{path}: {key!r} is {_shown(value)}, expected an object.")
-    return value
+class _Document(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
 
 
-def take_list(document: Document, key: str, path: Path) -> list[object]:
-    """The list under `key`. Raises CheckpointError likewise."""
-    value = document.get(key)
-    if not isinstance(value, list):
-        raise CheckpointError(f"{path}: {key!r} is {_shown(value)}, expected a list.")
-    return value
+class GemmaBlock(_Document):
+    """One of vlm_config.text_config and dit_config."""
+
+    hidden_size: Width
+    num_hidden_layers: Count
+    intermediate_size: Inner
+    num_attention_heads: Count
+    num_key_value_heads: Count
+    head_dim: Annotated[int, Field(ge=2, le=1024, multiple_of=2, strict=True)]
+    vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] | None = None
+    rms_norm_eps: Epsilon = 1e-6
+    rope_theta: Annotated[float, Field(ge=100, le=1e8)] = 10_000.0
+    hidden_activation: Activation | None = None
+    hidden_act: Activation | None = None
 
 
-def take_integer(document: Document, key: str, path: Path, default: int | None = None) -> int:
-    """The integer > 0 under `key`. Raises CheckpointError when it is missing without default, or not one."""
-    value = document.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise CheckpointError(f"{path}: {key!r} is {_shown(value)}, expected an integer > 0.")
-    return value
+class VisionBlock(_Document):
+    """vlm_config.vision_config."""
+
+    hidden_size: Width
+    num_hidden_layers: Count
+    intermediate_size: Inner
+    num_attention_heads: Count
+    patch_size: Annotated[int, Field(ge=2, le=128, strict=True)] = 14
+    image_size: Annotated[int, Field(ge=16, le=1024, strict=True)] = 224
+    layer_norm_eps: Epsilon = 1e-6
+    hidden_act: Activation | None = None
+
+    @model_validator(mode="after")
+    def _heads_divide(self) -> Self:
+        if self.hidden_size % self.num_attention_heads:
+            raise ValueError(f"hidden_size {self.hidden_size} is no multiple of {self.num_attention_heads} heads")
+        return self
 
 
-def take_number(document: Document, key: str, path: Path, default: float) -> float:
-    """The number > 0 under `key`. Raises CheckpointError when it is not one."""
-    value = document.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-        raise CheckpointError(f"{path}: {key!r} is {_shown(value)}, expected a number > 0.")
-    return float(value)
+class VlmBlock(_Document):
+    """vlm_config: the language model and its vision tower."""
+
+    text_config: GemmaBlock
+    vision_config: VisionBlock
+
+    @model_validator(mode="after")
+    def _vocabulary_is_there(self) -> Self:
+        if self.text_config.vocab_size is None:
+            raise ValueError("text_config has no vocab_size")
+        return self
 
 
-def _shown(value: object) -> str:
-    return "missing" if value is None else repr(value)[:80]
+class DimensionsDocument(_Document):
+    """What both layouts say of the network's size: blocks, or names of variants."""
+
+    vlm_config: VlmBlock | None = None
+    dit_config: GemmaBlock | None = None
+    paligemma_variant: Name | None = None
+    action_expert_variant: Name | None = None
+    min_period: Annotated[float, Field(ge=1e-6, le=1e3)] = 4e-3
+    max_period: Annotated[float, Field(ge=1e-6, le=1e3)] = 4.0
+
+    @model_validator(mode="after")
+    def _blocks_are_complete(self) -> Self:
+        if (self.vlm_config is None) != (self.dit_config is None):
+            raise ValueError("vlm_config and dit_config must be given together")
+        if self.min_period >= self.max_period:
+            raise ValueError(f"min_period {self.min_period} is not below max_period {self.max_period}")
+        return self
+
+
+Chunk = Annotated[int, Field(ge=1, le=1024, strict=True)]
+Padded = Annotated[int, Field(ge=1, le=1024, strict=True)]
+PromptLength = Annotated[int, Field(ge=4, le=1024, strict=True)]
+
+
+class Feature(_Document):
+    """One entry of input_features."""
+
+    type: Name
+    shape: Annotated[tuple[Annotated[int, Field(ge=1, le=65_536, strict=True)], ...], Field(max_length=8)] = ()
+
+
+class LerobotConfig(DimensionsDocument):
+    """config.json of a LeRobot checkpoint."""
+
+    normalization_mapping: Annotated[dict[Name, Name], Field(max_length=16)]
+    input_features: Annotated[dict[Name, Feature], Field(max_length=64)]
+    empty_cameras: Annotated[int, Field(ge=0, le=8, strict=True)] = 0
+    chunk_size: Chunk = 50
+    n_action_steps: Chunk | None = None
+    max_state_dim: Padded = 32
+    max_action_dim: Padded = 32
+    num_inference_steps: Annotated[int, Field(ge=1, le=1000, strict=True)] = 10
+    tokenizer_max_length: PromptLength = 48
+    image_resolution: tuple[int, int] | None = None
+
+
+class OpenpiConfig(DimensionsDocument):
+    """config.json of an openpi PyTorch checkpoint."""
+
+    action_dim: Padded
+    action_horizon: Chunk
+    max_token_len: PromptLength = 48
+
+
+class Step(_Document):
+    """One step of policy_preprocessor.json or policy_postprocessor.json."""
+
+    registry_name: Name
+    config: dict[Name, Any] = {}
+    state_file: FileName | None = None
+
+
+class StepConfig(_Document):
+    """What is used of a step's config."""
+
+    eps: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-8
+    enabled: bool = False
+    exclude_joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = ("gripper",)
+
+
+class Pipeline(_Document):
+    """policy_preprocessor.json or policy_postprocessor.json."""
+
+    steps: Annotated[tuple[Step, ...], Field(max_length=64)]
+
+
+class Moments(_Document):
+    """Mean and standard deviation of one vector."""
+
+    mean: Vector
+    std: Vector
+
+    @model_validator(mode="after")
+    def _widths_agree(self) -> Self:
+        if len(self.mean) != len(self.std):
+            raise ValueError(f"mean has {len(self.mean)} values, std {len(self.std)}")
+        if min(self.std) < 0:
+            raise ValueError(f"std holds the negative value {min(self.std)}")
+        return self
+
+
+class NormStats(_Document):
+    """The object in norm_stats.json."""
+
+    state: Moments
+    actions: Moments
+
+
+class NormStatsDocument(_Document):
+    """norm_stats.json of an openpi checkpoint."""
+
+    norm_stats: NormStats
+
+
+class ProfileDocument(_Document):
+    """roboneuron.json beside config.json."""
+
+    profile: Name = ""
+
+
+class Index(_Document):
+    """model.safetensors.index.json: file by tensor."""
+
+    weight_map: Annotated[dict[Annotated[str, Field(max_length=400)], FileName], Field(min_length=1, max_length=50_000)]

@@ -16,6 +16,7 @@ from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.profiles import Profile
 from rn_backend_pi0.statistics import ZScore
 from roboneuron.contract import ACTION_SIZE, ActionChunk, Observation
+from roboneuron.contract.action import ACTION_FIELDS
 from roboneuron.errors import CheckpointError, ConfigurationError, StateError, UngroundedError, UnsafeError
 
 if TYPE_CHECKING:
@@ -67,11 +68,20 @@ def resolve_slots(slots: Sequence[str], wanted: Sequence[str] | None) -> tuple[s
     return roles
 
 
-def _fit(score: ZScore, width: int, padded: int, what: str, checkpoint: Checkpoint) -> None:
+def _fit(score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Checkpoint) -> None:
+    """Compare statistics with a profile's columns. Raises CheckpointError."""
+    width = len(columns)
     if score.width != width and score.width != padded:
         raise CheckpointError(
             f"{checkpoint.directory} has statistics of {score.width} {what} values, the profile has {width}.",
             hint="Choose the profile that belongs to the checkpoint, or describe it with profile = 'own'.",
+        )
+    still = [f"{i} ({name})" for i, name in enumerate(columns) if name != "padding" and score.std[i] == 0]
+    if still:
+        raise CheckpointError(
+            f"{checkpoint.directory}: the standard deviation of the {what} values {', '.join(still)} is 0, so they "
+            "cannot be normalised.",
+            hint="Copy the statistics of the original checkpoint again, or choose the profile that belongs to it.",
         )
 
 
@@ -107,8 +117,8 @@ class Pi0Backend:
                 hint="Choose profile 'libero-openpi', or 'own' with adds_state = true.",
             )
         dims = checkpoint.dims
-        _fit(checkpoint.state, profile.state.width, dims.state, "state", checkpoint)
-        _fit(checkpoint.action, ACTION_SIZE, dims.action, "action", checkpoint)
+        _fit(checkpoint.state, profile.state.columns, dims.state, "state", checkpoint)
+        _fit(checkpoint.action, ACTION_FIELDS, dims.action, "action", checkpoint)
         self._slots = resolve_slots(checkpoint.slots, config.camera_slots)
         if config.action_steps is not None and config.action_steps > dims.chunk:
             raise ConfigurationError(f"action_steps is {config.action_steps}, the model yields {dims.chunk} actions.")

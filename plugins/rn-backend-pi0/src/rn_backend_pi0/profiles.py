@@ -10,6 +10,7 @@ import numpy as np
 
 from rn_backend_pi0.action_layout import ActionLayout
 from rn_backend_pi0.state import StateLayout
+from roboneuron.contract.rotation import DOWN_ROTVEC_RAD
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -22,7 +23,7 @@ class Profile:
 
 _LIBERO_STATE = StateLayout(
     terms=("position", "rotvec", "fingers"),
-    rotvec_near_rad=np.array([np.pi, 0.0, 0.0]),
+    rotvec_near_rad=np.array(DOWN_ROTVEC_RAD),
     finger_travel_m=0.04,
 )
 _LIBERO_ACTION = ActionLayout(
@@ -48,8 +49,7 @@ _LIBERO_ACTION_RELATIVE = ActionLayout(
 )
 _BRIDGE = Profile(
     state=StateLayout(
-        terms=("position", "rpy", "padding", "gripper_open"),
-        rotation_reference=np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        terms=("position", "rpy_by_down", "padding", "gripper_open"),
     ),
     action=ActionLayout(meaning="delta", frame="base", rotation="rpy", gripper="open_fraction", step_s=0.2),
 )
@@ -70,5 +70,5 @@ examples/libero.
 "libero-openpi": the same, but the network's output is relative to the state. Source: openpi training/config.py,
 extra_delta_transform of pi0_libero. openpi's policy server adds the state itself, so the remote backend uses "libero".
 "bridge": metres and radians at 5 Hz, rotation as roll, pitch, yaw, gripper 1 open; the rotation of the state is taken
-against a gripper that points forward. Source: SimplerEnv's policies for widowx_bridge.
+against a gripper that points down. Source: see `roboneuron.contract.rotation.rpy_by_down`.
 """

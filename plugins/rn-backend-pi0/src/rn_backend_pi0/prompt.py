@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rn_backend_pi0.checkpoint import Family
 from roboneuron.errors import CheckpointError, UngroundedError
+from roboneuron.plugins.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
 
 if TYPE_CHECKING:
     from tokenizers import Tokenizer
@@ -35,6 +36,11 @@ class Prompt:
         self._tokenizer, self._family = tokenizer, family
         self._bos, self._newline = bos, newline[0]
         self._max_tokens, self._vocabulary, self._source = max_tokens, vocabulary, source
+        highest = max(bos, *newline, *tokenizer.get_vocab(with_added_tokens=True).values())
+        if highest >= vocabulary:
+            raise CheckpointError(
+                f"{source} knows the id {highest}, the model has {vocabulary} embeddings.", hint=_WHERE
+            )
 
     def encode(self, instruction: str) -> list[int]:
         """Token ids of an instruction.
@@ -50,7 +56,8 @@ class Prompt:
             text = text.replace("_", " ")
         if not text:
             raise UngroundedError("The instruction is empty; say what to do.")
-        ids = [self._bos, *self._tokenizer.encode(text, add_special_tokens=False).ids, self._newline]
+        with reading(Path(self._source), "a tokenizer"):
+            ids = [self._bos, *self._tokenizer.encode(text, add_special_tokens=False).ids, self._newline]
         if len(ids) > self._max_tokens:
             raise UngroundedError(
                 f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; shorten it."
@@ -73,15 +80,13 @@ def load_prompt(directory: Path, path: Path | None, *, family: Family, max_token
 
     file = path or directory
     file = file / TOKENIZER_FILE if file.is_dir() else file
-    if not file.is_file():
+    if not file.exists():
         raise CheckpointError(f"There is no tokenizer at {file}.", hint=_WHERE)
     if file.suffix != ".json":
         raise CheckpointError(f"{file} is not a {TOKENIZER_FILE}; SentencePiece models are not read.", hint=_WHERE)
-    try:
-        # The library raises bare Exception for a damaged file, so the text is checked here and the cause kept.
-        tokenizer = Tokenizer.from_str(file.read_text(encoding="utf-8"))
-    except Exception as error:
-        raise CheckpointError(f"{file} cannot be read as a tokenizer: {error}.", hint=_WHERE) from error
-    tokenizer.no_padding()
-    tokenizer.no_truncation()
-    return Prompt(tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file))
+    check_file(file, MAX_TOKENIZER_BYTES)
+    with reading(file, "a tokenizer"):
+        tokenizer = Tokenizer.from_str(file.read_bytes().decode("utf-8"))
+        tokenizer.no_padding()
+        tokenizer.no_truncation()
+        return Prompt(tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file))

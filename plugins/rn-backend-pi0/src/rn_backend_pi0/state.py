@@ -7,16 +7,32 @@ from typing import Literal
 
 import numpy as np
 
-from rn_backend_pi0.rpy import rpy_from_matrix
 from roboneuron.contract import Observation, Pose
-from roboneuron.contract.rotation import F64, matrix_from_quaternion, quaternion_from_matrix, rotvec_from_matrix
+from roboneuron.contract.rotation import (
+    F64,
+    matrix_from_quaternion,
+    nearer_rotvec,
+    quaternion_from_matrix,
+    rotvec_from_matrix,
+    rpy_by_down,
+    rpy_from_matrix,
+)
 from roboneuron.errors import UngroundedError, UnsafeError
 
 StateTerm = Literal[
-    "position", "rotvec", "rpy", "quaternion", "joints", "gripper_open", "gripper_closed", "fingers", "padding"
+    "position",
+    "rotvec",
+    "rpy",
+    "rpy_by_down",
+    "quaternion",
+    "joints",
+    "gripper_open",
+    "gripper_closed",
+    "fingers",
+    "padding",
 ]
-_WIDTHS = {"position": 3, "rotvec": 3, "rpy": 3, "quaternion": 4, "fingers": 2}
-_POSE_TERMS = frozenset({"position", "rotvec", "rpy", "quaternion"})
+_WIDTHS = {"position": 3, "rotvec": 3, "rpy": 3, "rpy_by_down": 3, "quaternion": 4, "fingers": 2}
+_POSE_TERMS = frozenset({"position", "rotvec", "rpy", "rpy_by_down", "quaternion"})
 _GRIPPER_TERMS = frozenset({"gripper_open", "gripper_closed", "fingers"})
 
 
@@ -24,21 +40,17 @@ def _zeros() -> F64:
     return np.zeros(3)
 
 
-def _identity() -> F64:
-    return np.eye(3)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class StateLayout:
     """What a state vector consists of, in order.
 
     Attributes:
-        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m]
-            by `joint_names`; "gripper_open" 0..1, "gripper_closed" 1 - open; "fingers" two finger joints +q, -q [m];
-            "padding" one column that is 0 in the training data itself.
+        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "rpy_by_down" [rad] (against a gripper that points down),
+            "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m] by `joint_names`; "gripper_open" 0..1,
+            "gripper_closed" 1 - open; "fingers" two finger joints +q, -q [m]; "padding" one column that is 0 in the
+            training data itself.
         joint_names: joints of the term "joints", in order.
         base_position_m: float64 (3,), where the robot's base stands in the frame of the training data's positions.
-        rotation_reference: float64 (3, 3), multiplied from the right onto the TCP rotation before it is written down.
         rotvec_near_rad: float64 (3,); a rotation has two rotation vectors (r and r (|r| - 2 pi) / |r|), and the one
             nearer to this is written, so that a gripper pointing down does not flip between them.
         finger_travel_m: joint position of one finger when open.
@@ -47,14 +59,19 @@ class StateLayout:
     terms: tuple[StateTerm, ...]
     joint_names: tuple[str, ...] = ()
     base_position_m: F64 = field(default_factory=_zeros)
-    rotation_reference: F64 = field(default_factory=_identity)
     rotvec_near_rad: F64 = field(default_factory=_zeros)
     finger_travel_m: float = 0.04
 
     @property
     def width(self) -> int:
         """Number of values."""
-        return sum(len(self.joint_names) if term == "joints" else _WIDTHS.get(term, 1) for term in self.terms)
+        return len(self.columns)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The term that each value belongs to."""
+        counts = {"joints": len(self.joint_names), **_WIDTHS}
+        return tuple(term for term in self.terms for _ in range(counts.get(term, 1)))
 
     def build(self, observation: Observation) -> F64:
         """float64 (width,) in the training data's units.
@@ -89,9 +106,11 @@ class StateLayout:
     def _pose_term(self, term: StateTerm, pose: Pose) -> F64:
         if term == "position":
             return np.asarray(pose.position_m + self.base_position_m, dtype=np.float64)
-        rotation = matrix_from_quaternion(pose.quaternion_xyzw) @ self.rotation_reference
+        rotation = matrix_from_quaternion(pose.quaternion_xyzw)
         if term == "rpy":
             return rpy_from_matrix(rotation)
+        if term == "rpy_by_down":
+            return rpy_by_down(rotation)
         if term == "quaternion":
             return quaternion_from_matrix(rotation)
         return nearer_rotvec(rotvec_from_matrix(rotation), self.rotvec_near_rad)
@@ -111,13 +130,3 @@ class StateLayout:
 
 def _absent(term: str, what: str, provider: str) -> str:
     return f"The state's {term!r} needs {what}, and the observation has none; it comes from {provider}."
-
-
-def nearer_rotvec(rotvec_rad: F64, near_rad: F64) -> F64:
-    """Of the two rotation vectors of one rotation, each up to 2 pi long, the one nearer to `near_rad`; (3,) [rad]."""
-    angle = float(np.linalg.norm(rotvec_rad))
-    if angle < 1e-9:
-        return rotvec_rad
-    other: F64 = rotvec_rad * ((angle - 2.0 * np.pi) / angle)
-    nearer = np.linalg.norm(rotvec_rad - near_rad) <= np.linalg.norm(other - near_rad)
-    return rotvec_rad if nearer else other

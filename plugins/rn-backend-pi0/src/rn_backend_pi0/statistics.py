@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-
-from roboneuron.errors import CheckpointError
 
 F32 = NDArray[np.float32]
 
@@ -27,6 +26,12 @@ class ZScore:
     forward_eps: float
     backward_eps: float
 
+    @classmethod
+    def of(cls, mean: Sequence[float], std: Sequence[float], *, forward_eps: float, backward_eps: float) -> ZScore:
+        """Build from what a file holds, two checked sequences of one length."""
+        numbers = (np.asarray(values, dtype=np.float32) for values in (mean, std))
+        return cls(mean=next(numbers), std=next(numbers), forward_eps=forward_eps, backward_eps=backward_eps)
+
     @property
     def width(self) -> int:
         """Number of values."""
@@ -45,28 +50,3 @@ class ZScore:
     def head(self, width: int) -> ZScore:
         """The first `width` values (statistics padded to the model's width hold more)."""
         return replace(self, mean=self.mean[:width], std=self.std[:width])
-
-
-def check_statistics(
-    mean: object, std: object, *, what: str, source: str, forward_eps: float, backward_eps: float
-) -> ZScore:
-    """Build a ZScore from what a file holds.
-
-    Args:
-        mean, std: sequences or arrays of numbers.
-        what: "state" or "actions", for messages.
-        source: file name, for messages.
-        forward_eps, backward_eps: see ZScore.
-
-    Raises:
-        CheckpointError: not two equally long vectors of finite numbers with std >= 0.
-    """
-    try:
-        m, s = np.asarray(mean, dtype=np.float32), np.asarray(std, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{source}: mean or std of {what} is not a list of numbers: {error}.") from error
-    if m.ndim != 1 or m.shape != s.shape or m.size == 0:
-        raise CheckpointError(f"{source}: mean and std of {what} have shapes {m.shape} and {s.shape}, expected equal.")
-    if not (np.isfinite(m).all() and np.isfinite(s).all() and (s >= 0).all()):
-        raise CheckpointError(f"{source}: mean or std of {what} is not finite, or std is negative.")
-    return ZScore(mean=m, std=s, forward_eps=forward_eps, backward_eps=backward_eps)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from torch import Tensor, nn
 
 from rn_backend_pi0.architecture import (
@@ -19,17 +19,20 @@ from rn_backend_pi0.architecture import (
     optional_tensors,
     required_tensors,
 )
-from rn_backend_pi0.documents import read_document, take_object
+from rn_backend_pi0.documents import Index
 from rn_backend_pi0.network import Pi0Network
 from roboneuron.errors import CheckpointError, ConfigurationError
+from roboneuron.plugins.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
 
 _LEROBOT_PREFIX = "model."
 _FLOAT32 = ("state_proj.", "action_in_proj.", "action_time_mlp_in.", "action_time_mlp_out.", "action_out_proj.")
-_LISTED = 12
+_REAL_NUMBERS = frozenset({"F64", "F32", "F16", "BF16"})
+_MAX_INDEX_BYTES = 16 * 2**20
 
 
 class _Slice(Protocol):
     def get_shape(self) -> list[int]: ...
+    def get_dtype(self) -> str: ...
 
 
 class _Shard(Protocol):
@@ -43,29 +46,29 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
     """Yield the open shard and the key in it, by key without LeRobot's leading "model.".
 
     Raises:
-        CheckpointError: no file, a truncated or damaged one, or one key in two shards.
+        CheckpointError: no file, a truncated or damaged one, one key in two shards, or a tensor of integers.
     """
     index = directory / "model.safetensors.index.json"
-    if index.is_file():
-        names = sorted({str(v) for v in take_object(read_document(index), "weight_map", index).values()})
+    if index.is_symlink() or index.exists():
+        names = sorted(set(read_schema(index, Index, _MAX_INDEX_BYTES).weight_map.values()))
     else:
         names = ["model.safetensors"]
     with ExitStack() as stack:
         by_key: dict[str, tuple[_Shard, str]] = {}
         for name in names:
-            path = directory / Path(name).name
-            if not path.is_file():
-                raise CheckpointError(f"{path} is missing; the weights of {directory} are incomplete.")
-            try:
+            path = directory / name
+            check_safetensors(path)
+            with reading(path, "safetensors: it is truncated or damaged"):
                 shard = cast("_Shard", stack.enter_context(safe_open(path, framework="pt", device="cpu")))
-            except (OSError, SafetensorError) as error:
-                raise CheckpointError(
-                    f"{path} ({path.stat().st_size} bytes) is truncated or damaged: {error}.", hint="Copy it again."
-                ) from error
             for key in shard.keys():  # noqa: SIM118 - not a mapping
                 plain = key.removeprefix(_LEROBOT_PREFIX)
                 if plain in by_key:
-                    raise CheckpointError(f"{path} holds {key!r}, which another shard holds too.")
+                    raise CheckpointError(f"{path} holds {clip(key)!r}, which another shard holds too.")
+                if shard.get_slice(key).get_dtype() not in _REAL_NUMBERS:
+                    raise CheckpointError(
+                        f"{path} holds {clip(key)!r} of the number type {shard.get_slice(key).get_dtype()}, which no "
+                        "weight has."
+                    )
                 by_key[plain] = (shard, key)
         yield by_key
 
@@ -85,13 +88,13 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
         missing.append(f"{EMBEDDING_KEYS[0]} (or {EMBEDDING_KEYS[1]})")
     unexpected = sorted(set(shapes) - set(allowed))
     misshaped = [
-        f"{key}: {shapes[key]}, expected {allowed[key]}"
+        f"{key}: {clip(shapes[key])}, expected {allowed[key]}"
         for key in sorted(shapes)
         if key in allowed and shapes[key] != allowed[key]
     ]
     if missing or unexpected or misshaped:
         parts = [
-            f"{len(names)} {word}: {'; '.join(names[:_LISTED])}{' ...' if len(names) > _LISTED else ''}"
+            f"{len(names)} {word}: {list_names(names)}"
             for word, names in (("missing", missing), ("unexpected", unexpected), ("misshaped", misshaped))
             if names
         ]
@@ -115,12 +118,12 @@ def load_network(directory: Path, dims: Pi0Dims, *, device: torch.device, dtype:
         CheckpointError: keys or shapes do not fit, or a value is not finite.
         ConfigurationError: the device has not enough memory.
     """
-    with torch.device("meta"):
-        network = Pi0Network(dims)
     try:
         with open_shards(directory) as shards:
             shapes = {key: tuple(shard.get_slice(full).get_shape()) for key, (shard, full) in shards.items()}
             embedding = check_keys(shapes, dims)
+            with torch.device("meta"):
+                network = Pi0Network(dims)
             for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items():
                 shard, full = shards[key]
                 tensor = shard.get_tensor(full)

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol, cast
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from rn_runtime_torch.cache import KeyValueCache
@@ -105,6 +107,7 @@ class Engine:
                 f"The prompt has {count} tokens, at most {self._model.max_prompt_tokens} fit.",
                 hint="Shorten the instruction.",
             )
+        _check_ids(request.prompt.ids, self._model.decoder.vocabulary)
         with _memory_errors(self._device), torch.inference_mode():
             inputs = {
                 name: torch.from_numpy(array)[None].to(self._device, self._dtype)
@@ -185,6 +188,13 @@ class Engine:
             return compute(inputs), self._decoder.visual_kept
         key = (kind, tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())))
         return self._graphs.run(key, compute, inputs, lambda: self._decoder.visual_kept)
+
+
+def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
+    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break the whole context."""
+    if not ids.size or ids.min() < 0 or ids.max() >= vocabulary:
+        span = f"{ids.min()} to {ids.max()}" if ids.size else "none"
+        raise InvalidInputError(f"The prompt's ids are {span}, expected some from 0 to {vocabulary - 1}.")
 
 
 def release_memory() -> None:

@@ -12,25 +12,33 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from rn_runtime_torch.state_dictionary import read_header
 from roboneuron.contract.decoding import Shard
 from roboneuron.errors import CheckpointError
+from roboneuron.plugins.checkpoint_files import check_safetensors, clip, list_names
 
-_LISTED = 12
-"""Names shown in an error before "and N more"."""
+_REAL_NUMBERS = {"F64", "F32", "F16", "BF16", "Double", "Float", "Half", "BFloat16"}
+"""Number types of weights, in the words of safetensors and of torch.save."""
 
 
 class _OpenShard(Protocol):
     def shapes(self) -> Mapping[str, tuple[int, ...]]: ...
+
+    def kinds(self) -> Mapping[str, str]: ...
 
     def tensor(self, name: str) -> Tensor: ...
 
 
 class _Safetensors:
     def __init__(self, path: Path) -> None:
+        check_safetensors(path)
         self._file: Any = safe_open(path, framework="pt", device="cpu")  # the library is not typed
 
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
         return {name: tuple(self._file.get_slice(name).get_shape()) for name in self._file.keys()}  # noqa: SIM118
+
+    def kinds(self) -> Mapping[str, str]:
+        return {name: str(self._file.get_slice(name).get_dtype()) for name in self._file.keys()}  # noqa: SIM118
 
     def tensor(self, name: str) -> Tensor:
         found: Tensor = self._file.get_tensor(name)
@@ -38,16 +46,17 @@ class _Safetensors:
 
 
 class _StateDictionary:
-    """A file written by `torch.save`; only plain tensors are read, nothing in it is executed."""
+    """A file written by `torch.save`; its header is checked first, and nothing in it is executed."""
 
     def __init__(self, path: Path) -> None:
-        loaded = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-        if not isinstance(loaded, dict) or not all(isinstance(value, Tensor) for value in loaded.values()):
-            raise CheckpointError(f"{path} holds a {type(loaded).__name__}, expected a dictionary of tensors.")
-        self._tensors: dict[str, Tensor] = loaded
+        self._header = read_header(path)
+        self._tensors: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
 
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        return {name: tuple(tensor.shape) for name, tensor in self._tensors.items()}
+        return {name: tensor.shape for name, tensor in self._header.items()}
+
+    def kinds(self) -> Mapping[str, str]:
+        return {name: tensor.kind for name, tensor in self._header.items()}
 
     def tensor(self, name: str) -> Tensor:
         return self._tensors[name]
@@ -55,15 +64,13 @@ class _StateDictionary:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[_OpenShard]:
-    if not path.is_file():
-        raise CheckpointError(f"Weight file {path} does not exist.", hint="Download the checkpoint again.")
     try:
         yield _Safetensors(path) if path.suffix == ".safetensors" else _StateDictionary(path)
-    except (SafetensorError, UnpicklingError, EOFError, RuntimeError, OSError) as error:
+    except (SafetensorError, UnpicklingError, EOFError, RuntimeError, OSError, ValueError) as error:
         if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
             raise
         raise CheckpointError(
-            f"Weight file {path} ({path.stat().st_size} bytes) is truncated or damaged: {error}",
+            f"Weight file {path} ({path.stat().st_size} bytes) is truncated or damaged: {clip(error, 200)}",
             hint="Download the checkpoint again.",
         ) from error
 
@@ -77,15 +84,21 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
     problems: list[str] = []
     for shard in shards:
         with _opened(shard.path) as opened:
-            found = opened.shapes()
+            found, kinds = opened.shapes(), opened.kinds()
         missing = sorted(shard.weights.keys() - found.keys())
         extra = sorted(found.keys() - shard.weights.keys())
         misshaped = [
-            f"{name} is {list(found[name])}, expected {list(weight.shape)}"
+            f"{name} is {clip(list(found[name]))}, expected {list(weight.shape)}"
             for name, weight in shard.weights.items()
             if name in found and found[name] != weight.shape
         ]
-        for what, names in (("missing", missing), ("unexpected", extra), ("misshaped", misshaped)):
+        odd = [f"{name} is {clip(kinds[name])}" for name in sorted(found) if kinds[name] not in _REAL_NUMBERS]
+        for what, names in (
+            ("missing", missing),
+            ("unexpected", extra),
+            ("misshaped", misshaped),
+            ("of a number type that no weight has", odd),
+        ):
             if names:
                 problems.append(f"{shard.path.name}: {len(names)} {what}: {list_names(names)}")
     if problems:
@@ -93,12 +106,6 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
             f"The weights in {shards[0].path.parent} are not those of this model. " + "; ".join(problems) + ".",
             hint="Check that the checkpoint belongs to this backend and is complete.",
         )
-
-
-def list_names(names: list[str]) -> str:
-    """The first names, and how many more there are."""
-    more = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:

@@ -172,7 +172,8 @@ class RobotProfile:
     Attributes:
         name: as in the descriptor.
         urdf: the robot description as XML text; empty for robots without kinematics (mobile bases).
-        base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of `base_link`.
+        base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of `base_link`. The TCP's
+            z axis points out of the gripper, which the state of learned policies relies on.
         arm_joints: names of the joints that the controller moves, base to tip.
         limits: None for robots without arm joints.
         home_rad: float64 (n,), a posture that is safe to start from; None likewise.

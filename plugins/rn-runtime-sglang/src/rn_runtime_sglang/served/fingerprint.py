@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from roboneuron.plugins.checkpoint_files import MAX_JSON_BYTES, check_file
+
 _SAMPLES = 16
 _SAMPLE_BYTES = 16384
 
@@ -13,11 +15,13 @@ def fingerprint(checkpoint: Path) -> str:
     """Twelve hexadecimal digits over config.json and samples spread over each weight file; milliseconds even for 15 GB.
 
     Raises:
+        CheckpointError: a file is absent, not a regular file, or the configuration is too large to be one.
         OSError: a file cannot be read.
     """
+    check_file(checkpoint / "config.json", MAX_JSON_BYTES)
     digest = hashlib.sha256((checkpoint / "config.json").read_bytes())
     for path in sorted(checkpoint.glob("*.safetensors")):
-        size = path.stat().st_size
+        size = check_file(path)
         digest.update(f"{path.name} {size} ".encode())
         with path.open("rb") as file:
             for sample in range(_SAMPLES):

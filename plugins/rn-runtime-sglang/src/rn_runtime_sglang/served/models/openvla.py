@@ -68,7 +68,7 @@ class OpenVLAForActionPrediction(nn.Module):
         """Put every tensor of the checkpoint where the backend's table says.
 
         Raises:
-            ValueError: a tensor is missing, unknown or of another shape.
+            ValueError: a tensor is missing, unknown, of another shape, or of integers.
         """
         slots = dict(self.front.named_parameters())
         missing = set(self._weights)
@@ -78,6 +78,8 @@ class OpenVLAForActionPrediction(nn.Module):
             if expected is None or tuple(tensor.shape) != expected.shape:
                 wanted = "no such tensor" if expected is None else f"shape {expected.shape}"
                 raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {wanted}")
+            if not tensor.is_floating_point():
+                raise ValueError(f"{name} has the number type {tensor.dtype}, which no weight has")
             missing.discard(name)
             part, _, target = expected.target.partition(".")
             if part == "front":

@@ -34,6 +34,7 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         tower = checkpoint.vision.towers[0]
         self._preprocessor = Preprocessor(size=tower.image, towers=checkpoint.towers)
         self._patches = tower.patches
+        self._embeddings = checkpoint.decoder.vocabulary
         self._image_token = checkpoint.token_vocabulary  # <PAD>, which no prompt holds
 
     async def process_mm_data_async(
@@ -44,7 +45,7 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         Raises:
             ValueError: answered as status 400 with the text.
         """
-        ids = check_ids(input_text)
+        ids = check_ids(input_text, self._embeddings)
         if not isinstance(image_data, list) or len(image_data) != 1:
             raise ValueError("exactly one image is needed")
         pixels = self._preprocessor.to_pixels(decode_image(image_data[0]))
@@ -59,12 +60,17 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         )
 
 
-def check_ids(ids: Any) -> list[int]:
-    """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained with."""
+def check_ids(ids: Any, embeddings: int) -> list[int]:
+    """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained with.
+
+    An id without an embedding would break the GPU's context, and with it the server.
+    """
     if not isinstance(ids, list) or not all(type(value) is int for value in ids):
         raise ValueError("the prompt must be token ids (`input_ids`), not text")
     if len(ids) < 2 or ids[0] != BOS_ID or ids[-1] != FINAL_ID:
         raise ValueError(f"the prompt's ids are {ids[:2]} ... {ids[-1:]}, expected [{BOS_ID} ... {FINAL_ID}]")
+    if min(ids) < 0 or max(ids) >= embeddings:
+        raise ValueError(f"the prompt's ids are {min(ids)} to {max(ids)}, the model has {embeddings} embeddings")
     return ids
 
 

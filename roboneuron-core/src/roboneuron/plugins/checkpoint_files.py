@@ -1,0 +1,119 @@
+"""Read the files of a model checkpoint: regular files of bounded size, one schema for each, one error class.
+
+For model plugins. A checkpoint may come from anywhere, so nothing here trusts a size, a type or a name in it.
+"""
+
+from __future__ import annotations
+
+import json
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from roboneuron.errors import CheckpointError, RoboNeuronError
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+
+MAX_JSON_BYTES = 8 * 2**20
+"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in memory."""
+MAX_TOKENIZER_BYTES = 64 * 2**20
+"""Largest tokenizer.json (PaliGemma's has 34 MB)."""
+MAX_HEADER_BYTES = 32 * 2**20
+"""Longest header of a safetensors file."""
+_LISTED = 12
+_AGAIN = "Check that the checkpoint is complete, or download it again."
+
+
+def clip(text: object, length: int = 120) -> str:
+    """`text` in at most `length` characters: names and values in messages come from the file."""
+    words = str(text)
+    return words if len(words) <= length else f"{words[: length - 4]} ..."
+
+
+def list_names(names: Iterable[str]) -> str:
+    """The first names, clipped, and how many more there are."""
+    known = list(names)
+    more = len(known) - _LISTED
+    return ", ".join(clip(name, 240) for name in known[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def check_file(path: Path, max_bytes: int | None = None) -> int:
+    """The size of `path` [bytes].
+
+    Raises:
+        CheckpointError: it is absent, larger than `max_bytes`, or not a regular file (reading a pipe would not end).
+    """
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
+        why = "does not exist" if isinstance(error, FileNotFoundError) else "cannot be read"
+        raise CheckpointError(f"{clip(path, 300)} {why}.", hint=_AGAIN) from error
+    if not stat.S_ISREG(found.st_mode):
+        raise CheckpointError(f"{path} is not a regular file.", hint=_AGAIN)
+    if max_bytes is not None and found.st_size > max_bytes:
+        raise CheckpointError(f"{path} has {found.st_size} bytes, expected at most {max_bytes}.", hint=_AGAIN)
+    return found.st_size
+
+
+def check_safetensors(path: Path) -> None:
+    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its header is too long."""
+    size = check_file(path)
+    with reading(path, "safetensors"), path.open("rb") as file:
+        header = int.from_bytes(file.read(8), "little")
+    if not 0 < header <= min(size - 8, MAX_HEADER_BYTES):
+        raise CheckpointError(
+            f"Weight file {path} ({size} bytes) is truncated or damaged: it names a header of {header} bytes.",
+            hint=_AGAIN,
+        )
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a parser raises about `path` into one CheckpointError; the cause is kept.
+
+    Parsers written in Rust panic on some damaged files: an exception that is no `Exception`.
+    """
+    try:
+        yield
+    except RoboNeuronError:
+        raise
+    except RecursionError as error:
+        raise CheckpointError(f"{path} cannot be read as {what}: it is nested too deeply.", hint=_AGAIN) from error
+    except Exception as error:
+        raise CheckpointError(f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN) from error
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        raise CheckpointError(f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN) from error
+
+
+def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> object:
+    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file or not JSON."""
+    check_file(path, max_bytes)
+    with reading(path, "JSON"):
+        return json.loads(path.read_bytes().decode("utf-8"))
+
+
+def read_schema(path: Path, model: type[M], max_bytes: int = MAX_JSON_BYTES) -> M:
+    """The parsed and checked file. Raises CheckpointError with the first thing that is wrong."""
+    return check_schema(read_json(path, max_bytes), TypeAdapter(model), path)
+
+
+def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
+    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the first thing wrong."""
+    if not isinstance(raw, dict):
+        raise CheckpointError(f"{source} holds a {type(raw).__name__}, expected an object.", hint=_AGAIN)
+    try:
+        return schema.validate_python(raw)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = clip(".".join(clip(part, 60) for part in first["loc"]) or "it", 200)
+        given = "" if isinstance(first["input"], dict | list) else f" (got {clip(repr(first['input']), 60)})"
+        raise CheckpointError(
+            f"{source} does not say what is needed: {where}: {clip(first['msg'], 300)}{given}.", hint=_AGAIN
+        ) from error
