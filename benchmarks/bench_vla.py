@@ -316,7 +316,7 @@ def measure_boundary(repeat: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         make_tiny(Path(folder))
         config = OpenVlaConfig(checkpoint=Path(folder), profile="libero")
-        backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu")))
+        backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")))
         backend.load()
         image = np.random.default_rng(0).integers(0, 256, (224, 224, 3)).astype(np.uint8)
         frame = Frame(camera="front", image=image, stamp_ns=1, frame_id="front_optical")

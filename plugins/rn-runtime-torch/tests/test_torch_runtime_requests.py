@@ -16,7 +16,7 @@ from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyErr
 
 @pytest.fixture
 def runtime(toy) -> TorchRuntime:
-    made = TorchRuntime(TorchRuntimeConfig(device="cpu"))
+    made = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
     made.load(toy.model())
     return made
 
@@ -138,7 +138,7 @@ def test_prompts_that_no_position_is_left_for_are_refused(toy):
 def test_a_model_larger_than_free_memory_is_refused_before_reading(toy, monkeypatch):
     monkeypatch.setattr(device_module, "free_bytes", lambda device: 1000)
     with pytest.raises(ConfigurationError, match=r"needs .* GB as float32 on cpu"):
-        TorchRuntime(TorchRuntimeConfig(device="cpu")).load(toy.model())
+        TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")).load(toy.model())
 
 
 def test_running_out_of_memory_is_reported_with_what_to_do(toy, runtime):
@@ -159,7 +159,7 @@ def test_a_cuda_device_that_is_not_there_is_refused(toy, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # torch's compiler warns about torch
 def test_compiled_layers_give_the_same_tokens(toy, runtime):
-    compiled = TorchRuntime(TorchRuntimeConfig(device="cpu", compile=True))
+    compiled = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32", compile=True))
     compiled.load(toy.model())
     assert compiled.run(toy.token_request()).tokens.tolist() == runtime.run(toy.token_request()).tokens.tolist()
 
