@@ -74,7 +74,7 @@ def test_half_precision_stays_near_the_float32_logits(golden, golden_checkpoint,
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_decoding_with_int8_weights_gives_the_same_tokens(golden, golden_checkpoint, dtype):
-    """Nothing promises this for other checkpoints. In bfloat16 this random one leaves the original at the third token."""
+    """Nothing promises this for other checkpoints. In bfloat16 this random one leaves the original at token 3."""
     tokens = {}
     for weights in ("same", "int8"):
         runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype=dtype, decode_weights=weights))

@@ -162,19 +162,3 @@ def test_compiled_layers_give_the_same_tokens(toy, runtime):
     compiled = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32", compile=True))
     compiled.load(toy.model())
     assert compiled.run(toy.token_request()).tokens.tolist() == runtime.run(toy.token_request()).tokens.tolist()
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-@pytest.mark.parametrize("family", ["openvla", "openvla-oft"])
-def test_cuda_graphs_answer_as_the_plain_loop_does(toy, family):
-    runtimes = []
-    for graphs in (False, True):
-        config = TorchRuntimeConfig(device="cuda", dtype="float32", cuda_graphs=graphs, warm_prompt_tokens=(8, 12))
-        runtimes.append(TorchRuntime(config))
-        runtimes[-1].load(toy.model(family))
-    make = toy.token_request if family == "openvla" else toy.rows_request
-    for count in (9, 12, 30, 9):
-        replies = [runtime.run(make(count, seed=count)) for runtime in runtimes]
-        values = [reply.tokens if family == "openvla" else reply.values for reply in replies]
-        np.testing.assert_allclose(values[0], values[1], atol=1e-5)
