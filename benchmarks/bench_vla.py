@@ -3,11 +3,11 @@
     python benchmarks/bench_vla.py [--device cpu|cuda] [--size small|full] [--repeat 5] [--threads 1]
 
 Random weights, batch 1, a prompt of 24 tokens, all in one process. On the CPU the models are scaled down ("small") and
-computed in float32; on CUDA they have their real size ("full"), bfloat16, with CUDA graphs. "eager" is transformers'
-Llama with eager attention, its own cache and a Python loop, on the same weights, behind the same vision front; in
-float32 its tokens or actions must equal ours. A time is that of one request, pixels on the host to tokens or actions on
-the host, the best of `--repeat`: wall time, or on one CPU thread the processor time, which others on a shared machine
-disturb less.
+computed in `--dtype`, float32 by default; on CUDA they have their real size ("full"), bfloat16, with CUDA graphs.
+"eager" is transformers' Llama with eager attention, its own cache and a Python loop, on the same weights, behind the
+same vision front; in float32 its tokens or actions must equal ours. A time is that of one request, pixels on the host
+to tokens or actions on the host, the best of `--repeat`: wall time, or on one CPU thread the processor time, which
+others on a shared machine disturb less.
 
 The roofline adds up, for vision, prefill and each decode step, the larger of weight bytes / bandwidth and
 FLOP / throughput; both are measured here, in the same number type, as the best of several runs of a matrix-vector and
@@ -46,7 +46,7 @@ from rn_backend_openvla.policy import policy_model
 from rn_backend_openvla.preprocessing import TowerPixels
 from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
-from rn_runtime_torch.engine import Engine
+from rn_runtime_torch.engine import Engine, release_memory
 from rn_runtime_torch.runtime import TorchRuntime
 from roboneuron.contract import Frame
 from roboneuron.contract.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
@@ -209,8 +209,8 @@ class EagerLoop:
         )
         with torch.device("meta"):
             self.llama = transformers.LlamaForCausalLM(config)
-        weights = {name: slot.clone() for name, slot in engine._decoder.slots().items()}
-        self.llama.load_state_dict(weights, assign=True)
+        with torch.inference_mode():  # the engine's own memory, no second copy
+            self.llama.load_state_dict(engine._decoder.slots(), assign=True)
         rotary = self.llama.model.rotary_emb
         self.llama.model.rotary_emb = type(rotary)(config=config).to(engine._device)
 
@@ -284,7 +284,8 @@ class Bench:
             bound = roofline_ms(model, vision, request, share, self.speed, engine._dtype.itemsize)
             if not share:
                 eager = EagerLoop(engine, model)
-                check_same(answer(engine, request)[0], eager.run(request), engine._dtype, name)
+                if self.config.decode_weights == "same":
+                    check_same(answer(engine, request)[0], eager.run(request), engine._dtype, name)
                 eager_ms = best_ms(eager.run, request, self.repeat)
                 row(name, "eager loop", model.visual_tokens, eager_ms, f"{1:.2f}", "", bound)
                 del eager
@@ -292,6 +293,8 @@ class Bench:
             plain_ms = plain_ms or took
             kept = answer(engine, request)[1]
             row(name, preset, kept, took, f"{eager_ms / took:.2f}", f"{plain_ms / took:.2f}", bound)
+            del engine  # before the next is built: two of the real size do not fit on many devices
+            release_memory()
 
 
 def answer(engine: Engine, request: Request) -> tuple[Tensor, int]:
@@ -316,7 +319,7 @@ def measure_boundary(repeat: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         make_tiny(Path(folder))
         config = OpenVlaConfig(checkpoint=Path(folder), profile="libero")
-        backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu")))
+        backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")))
         backend.load()
         image = np.random.default_rng(0).integers(0, 256, (224, 224, 3)).astype(np.uint8)
         frame = Frame(camera="front", image=image, stamp_ns=1, frame_id="front_optical")
@@ -334,17 +337,27 @@ def main() -> None:
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--size", choices=("small", "full"), help="default: small on the CPU, full on CUDA")
     parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument(
+        "--dtype", choices=("float32", "bfloat16"), help="default: float32 on the CPU, bfloat16 on CUDA"
+    )
+    parser.add_argument("--decode-weights", choices=("same", "int8"), default="same")
     parser.add_argument("--threads", type=int, default=1, help="CPU threads of torch")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     size = options.size or ("full" if options.device == "cuda" else "small")
-    config = TorchRuntimeConfig(device=options.device, warm_prompt_tokens=(PROMPT_TOKENS, PROMPT_TOKENS))
     device = torch.device(options.device)
-    dtype = torch.bfloat16 if options.device == "cuda" else torch.float32
+    named = options.dtype or ("bfloat16" if options.device == "cuda" else "float32")
+    dtype = getattr(torch, named)
+    config = TorchRuntimeConfig(
+        device=options.device,
+        dtype=named,
+        decode_weights=options.decode_weights,
+        warm_prompt_tokens=(PROMPT_TOKENS, PROMPT_TOKENS),
+    )
     speed = measure_speed(device, dtype)
     what = torch.cuda.get_device_name() if options.device == "cuda" else f"{platform.machine()} CPU"
     print(
-        f"{what}, {options.threads} CPU threads, size {size}, {str(dtype).removeprefix('torch.')}, "
+        f"{what}, {options.threads} CPU threads, size {size}, {named}, decode weights {options.decode_weights}, "
         f"torch {torch.__version__}, transformers {transformers.__version__}, Python {platform.python_version()}; "
         f"measured {speed.bandwidth / 1e9:.1f} GB/s and {speed.throughput / 1e12:.3f} TFLOP/s; "
         f"best of {options.repeat}\n"

@@ -43,7 +43,7 @@ def tinies(tmp_path_factory):
 
 
 def _backend(folder, family, acceleration):
-    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu"))
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
     if family == "openvla":
         config = OpenVlaConfig(checkpoint=folder / family, profile="libero")
         backend = OpenVlaBackend(config, runtime=runtime, acceleration=acceleration)

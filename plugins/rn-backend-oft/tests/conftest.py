@@ -10,6 +10,7 @@ import torch
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_openvla.checkpoint import Checkpoint
+from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 
 DATA = Path(__file__).parent / "data"
@@ -40,6 +41,6 @@ def golden_policy() -> OftPolicy:
 
 @pytest.fixture
 def golden_runtime(golden_policy) -> TorchRuntime:
-    runtime = TorchRuntime()
+    runtime = TorchRuntime(TorchRuntimeConfig(dtype="float32"))
     runtime.load(golden_policy.model(64))
     return runtime

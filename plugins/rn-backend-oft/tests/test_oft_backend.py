@@ -36,7 +36,7 @@ def tiny(tmp_path_factory):
 
 def _backend(path, kind=OftBackend, **options) -> OftBackend:
     options = {"profile": "libero", "constants": "libero", "proprio": True} | options
-    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu"))
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
     return kind(OftConfig(checkpoint=path, **options), runtime=runtime)
 
 

@@ -13,6 +13,7 @@ from rn_backend_openvla.policy import action_bins
 from rn_backend_openvla.preprocessing import Preprocessor
 from rn_backend_openvla.prompt import end_prompt
 from rn_backend_openvla.statistics import Scaling, choose_statistics
+from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 
 EPSILON = 1e-8
@@ -88,7 +89,7 @@ def test_a_policy_without_head_and_proprio_runs_on_the_base_weights(golden, gold
         file.unlink()
     checkpoint = type(golden_policy.checkpoint).read(golden_copy)
     policy = dataclasses.replace(golden_policy, checkpoint=checkpoint, head="tokens", proprio_width=0)
-    runtime = TorchRuntime()
+    runtime = TorchRuntime(TorchRuntimeConfig(dtype="float32"))
     runtime.load(policy.model(64))
     values = runtime.run(_request(policy, golden, proprio=None)).values
     assert values.shape == (CONSTANTS["libero"].tokens,)

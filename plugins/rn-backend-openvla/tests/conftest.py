@@ -9,6 +9,7 @@ import torch
 
 from rn_backend_openvla.checkpoint import Checkpoint
 from rn_backend_openvla.policy import policy_model
+from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 
 DATA = Path(__file__).parent / "data"
@@ -38,6 +39,6 @@ def golden_copy(tmp_path) -> Path:
 
 @pytest.fixture
 def golden_runtime(golden_checkpoint) -> TorchRuntime:
-    runtime = TorchRuntime()
+    runtime = TorchRuntime(TorchRuntimeConfig(dtype="float32"))
     runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
     return runtime

@@ -37,7 +37,7 @@ def tiny(tmp_path_factory):
 
 def _backend(path, kind=OpenVlaBackend, **options) -> OpenVlaBackend:
     options = {"profile": "libero"} | options
-    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu"))
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
     return kind(OpenVlaConfig(checkpoint=path, **options), runtime=runtime)
 
 

@@ -24,7 +24,7 @@ from roboneuron.errors import CheckpointError, ConfigurationError
 
 def _load(path, **options) -> OpenVlaBackend:
     config = OpenVlaConfig(checkpoint=path, **({"profile": "libero"} | options))
-    backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu")))
+    backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")))
     backend.load()
     return backend
 

@@ -70,3 +70,16 @@ def test_half_precision_stays_near_the_float32_logits(golden, golden_checkpoint,
     logits = runtime.run(_request(golden)).logits
     scale = np.abs(golden["prefill_logits"]).max()
     assert np.abs(logits - golden["prefill_logits"]).max() < 0.05 * scale  # 8 bits of mantissa through 8 layers
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_decoding_with_int8_weights_gives_the_same_tokens(golden, golden_checkpoint, dtype):
+    """Nothing promises this for other checkpoints. In bfloat16 this random one leaves the original at token 3."""
+    tokens = {}
+    for weights in ("same", "int8"):
+        runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype=dtype, decode_weights=weights))
+        runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
+        tokens[weights] = runtime.run(_request(golden)).tokens.tolist()
+    assert tokens["int8"] == tokens["same"]
+    assert tokens["int8"][:2] == golden["tokens"].tolist()[:2]
+    assert dtype == "bfloat16" or tokens["int8"] == golden["tokens"].tolist()

@@ -31,7 +31,8 @@ from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.testing.domain import free_ros_domain
 
-WATCH_S = 8.0
+_DISCOVERY_S = 10.0
+"""An onlooker may hear of new endpoints, and that dead ones are gone, later than the modules do."""
 INSTRUCTION = "pick up the red bowl"
 _CONFIGURATION = """
 [robot]
@@ -104,11 +105,17 @@ class Witness:
             self._joints = (now_s, positions)
 
     def topics(self) -> dict[str, str]:
-        """Topics of the robot with publishers, and their types."""
+        """Public topics of the robot with publishers, and their types.
+
+        Hidden ones are left out as `ros2 topic list` leaves them out: those with a part that begins with an underscore.
+        """
         return {
             name: types[0]
             for name, types in self._node.get_topic_names_and_types()
-            if name.startswith("/fr3/") and self._node.count_publishers(name) and "transition_event" not in name
+            if name.startswith("/fr3/")
+            and "/_" not in name
+            and "transition_event" not in name
+            and self._node.count_publishers(name)
         }
 
     def close(self) -> None:
@@ -120,9 +127,10 @@ class Witness:
 class Story:
     """The steps, each printed with what was seen."""
 
-    def __init__(self, agent: Agent, witness: Witness) -> None:
+    def __init__(self, agent: Agent, witness: Witness, watch_s: float) -> None:
         self._agent = agent
         self._witness = witness
+        self._watch_s = watch_s
         self.failures: list[str] = []
 
     def expect(self, condition: bool, text: str) -> None:
@@ -131,15 +139,26 @@ class Story:
         if not condition:
             self.failures.append(text)
 
+    async def expect_topics(self, topics: dict[str, str]) -> None:
+        """Compare the public topics with those before the switch, and say which differ."""
+        ends_s = time.monotonic() + _DISCOVERY_S
+        while (now := self._witness.topics()) != topics and time.monotonic() < ends_s:
+            await asyncio.sleep(0.1)
+        changed = dict(now.items() ^ topics.items())
+        self.expect(not changed, "all topics and types are the same" + (f", but for {changed}" if changed else ""))
+        metrics = module_status(await self._agent.status(), "inference")["metrics"]
+        hidden = [key for key in metrics if "._" in key]
+        self.expect(not hidden, "the status names no hidden topic" + (f", but {hidden}" if hidden else ""))
+
     async def watch(self, name: str) -> dict[str, Any]:
         """Count actions for a while; returns the status of inference."""
         before, fastest = self._witness.actions, 0.0
-        ends_s = time.monotonic() + WATCH_S
+        ends_s = time.monotonic() + self._watch_s
         while time.monotonic() < ends_s:
             await asyncio.sleep(0.2)
             fastest = max(fastest, self._witness.speed)
         count = self._witness.actions - before
-        self.expect(count > 0, f"{name}: {count} actions in {WATCH_S:.0f} s, fastest joint {fastest:.3f} rad/s")
+        self.expect(count > 0, f"{name}: {count} actions in {self._watch_s:.0f} s, fastest joint {fastest:.3f} rad/s")
         status = module_status(await self._agent.status(), "inference")
         numbers = {
             key.removeprefix("backend."): round(float(value), 1)
@@ -154,7 +173,6 @@ class Story:
         """Everything."""
         agent, witness = self._agent, self._witness
         print(f"{len(await agent.tools())} tools", flush=True)
-        await asyncio.sleep(5.0)  # the server joins the ROS graph meanwhile, on a thread of its own
         for tool in ("start_robot", "start_perception", "start_control"):
             await agent.call(tool)
         await agent.call("start_inference", {"runtime": "torch", "instruction": INSTRUCTION})
@@ -163,14 +181,14 @@ class Story:
         print(f"       topics: {', '.join(topics)}")
         switched = await agent.call("switch_inference", {"runtime": "sglang"})
         print(f"switched to the served model: took {switched['took_s']:.0f} s, gap {switched.get('gap_s')} s")
-        self.expect(witness.topics() == topics, "all topics and types are the same")
+        await self.expect_topics(topics)
         status = await self.watch("served")
         self.expect(float(status["metrics"]["backend.served.servers_ready"]) == 1.0, "the server is ready")
         await self.kill(status)
         switched = await agent.call("switch_inference", {"runtime": "torch"})
         print(f"switched back: took {switched['took_s']:.0f} s")
         await self.watch("in process again")
-        self.expect(witness.topics() == topics, "all topics and types are the same")
+        await self.expect_topics(topics)
         await agent.call("stop_all")
 
     async def kill(self, status: dict[str, Any]) -> None:
@@ -225,7 +243,7 @@ async def run(options: argparse.Namespace, directory: Path) -> bool:
     try:
         with (directory / "server.log").open("w", encoding="utf-8") as log:
             async with Client(stdio_client(server, errlog=log)) as client:
-                story = Story(PatientAgent(client), witness)
+                story = Story(PatientAgent(client), witness, options.watch_s)
                 try:
                     await story.play()
                 except NotReadyError as error:
@@ -256,6 +274,7 @@ def main() -> int:
     server.add_argument("--stand-in", action="store_true")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--watch-s", type=float, default=8.0, help="how long the arm is watched after each switch")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
     with tempfile.TemporaryDirectory(prefix="rn-interop-loop-") as held:

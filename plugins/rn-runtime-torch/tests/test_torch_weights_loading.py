@@ -138,7 +138,7 @@ def peak():
 toy = ToyPolicy(path=pathlib.Path(sys.argv[2]))
 toy.path.mkdir()
 toy.write()
-warm = TorchRuntime(TorchRuntimeConfig(device="cpu"))
+warm = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
 warm.load(toy.model())
 warm.run(toy.token_request())
 warm.close()

@@ -29,7 +29,7 @@ def _case(spec: BackendSpec) -> BackendCase:
     return BackendCase(
         spec=spec,
         options={"checkpoint": str(_checkpoint()), "profile": "libero", "constants": "libero", "proprio": True},
-        runtime=lambda: TorchRuntime(TorchRuntimeConfig(device="cpu")),
+        runtime=lambda: TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")),
     )
 
 

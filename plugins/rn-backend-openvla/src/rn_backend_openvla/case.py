@@ -37,7 +37,7 @@ def _case(spec: BackendSpec, options: dict[str, object]) -> BackendCase:
     return BackendCase(
         spec=spec,
         options={"checkpoint": str(_checkpoint()), **options},
-        runtime=lambda: TorchRuntime(TorchRuntimeConfig(device="cpu")),
+        runtime=lambda: TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")),
     )
 
 

@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from rn_backend_openvla.layout import TOWER_NAMES, VisionShape
-from rn_backend_openvla.vision import Tower
+from rn_backend_openvla.vision import Tower, gelu_in_place
 
 
 class Projector(nn.Module):
@@ -24,7 +23,7 @@ class Projector(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """See the class."""
         for name in self.names[:-1]:
-            x = functional.gelu(self.get_submodule(name)(x))
+            x = gelu_in_place(self.get_submodule(name)(x))
         result: Tensor = self.get_submodule(self.names[-1])(x)
         return result
 

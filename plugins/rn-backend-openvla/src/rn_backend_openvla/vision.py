@@ -11,6 +11,12 @@ from rn_backend_openvla.layout import TowerShape
 _EPSILON = 1e-6
 
 
+def gelu_in_place(x: Tensor) -> Tensor:
+    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it."""
+    result: Tensor = torch.ops.aten.gelu_(x)
+    return result
+
+
 class _Attention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -33,7 +39,7 @@ class _Mlp(nn.Module):
         self.fc2 = nn.Linear(inner, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        result: Tensor = self.fc2(functional.gelu(self.fc1(x)))
+        result: Tensor = self.fc2(gelu_in_place(self.fc1(x)))
         return result
 
 
@@ -43,10 +49,12 @@ class _Scale(nn.Module):
         self.scale_factor = nn.Parameter(torch.empty(width))
 
     def forward(self, x: Tensor) -> Tensor:
-        return x * self.scale_factor
+        return x.mul_(self.scale_factor)
 
 
 class _Block(nn.Module):
+    """Adds its branches to its input, in place."""
+
     def __init__(self, shape: TowerShape) -> None:
         super().__init__()
         self.norm1 = nn.LayerNorm(shape.width, eps=_EPSILON)
@@ -57,9 +65,8 @@ class _Block(nn.Module):
         self.ls2 = _Scale(shape.width) if shape.layer_scale else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        x = x + self.ls1(self.attn(self.norm1(x)))
-        result: Tensor = x + self.ls2(self.mlp(self.norm2(x)))
-        return result
+        x = x.add_(self.ls1(self.attn(self.norm1(x))))
+        return x.add_(self.ls2(self.mlp(self.norm2(x))))
 
 
 class _PatchEmbedding(nn.Module):

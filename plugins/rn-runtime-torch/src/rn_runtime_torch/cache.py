@@ -17,12 +17,13 @@ class KeyValueCache:
         self._values = torch.zeros(size, device=device, dtype=dtype)
         self._used = [0] * shape.layers
 
-    def start(self, layer: int, key: Tensor, value: Tensor) -> None:
-        """Replace the contents of `layer` by (1, key-value heads, n, head width)."""
+    def start(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them as they are kept."""
         count = key.shape[2]
         self._keys[layer, :, :, :count] = key
         self._values[layer, :, :, :count] = value
         self._used[layer] = count
+        return self._keys[layer, :, :, :count], self._values[layer, :, :, :count]
 
     def append(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
         """Add one position; return all keys and values of `layer` (1, key-value heads, n + 1, head width)."""
@@ -31,6 +32,10 @@ class KeyValueCache:
         self._values[layer, :, :, end : end + 1] = value
         self._used[layer] = end + 1
         return self._keys[layer, :, :, : end + 1], self._values[layer, :, :, : end + 1]
+
+    def tensors(self) -> tuple[Tensor, Tensor]:
+        """All keys and all values, as allocated."""
+        return self._keys, self._values
 
     def used(self, layer: int) -> int:
         """Positions held by `layer`."""

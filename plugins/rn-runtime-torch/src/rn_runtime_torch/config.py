@@ -6,6 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+MOST_RECORDINGS = 64
+"""CUDA graphs at most: each holds memory, and recording one takes about as long as three requests."""
+
 
 class TorchRuntimeConfig(BaseModel):
     """Where and how the model is executed."""
@@ -15,13 +18,15 @@ class TorchRuntimeConfig(BaseModel):
     device: Annotated[str, Field(pattern=r"^(auto|cpu|cuda(:\d+)?)$")] = "auto"
     """`auto` takes the first CUDA device, or the CPU when there is none."""
     dtype: Literal["auto", "float32", "bfloat16", "float16"] = "auto"
-    """`auto` is bfloat16 on CUDA and float32 on the CPU."""
+    """`auto` is bfloat16 on CUDA and on processors with AMX, float32 on others."""
+    decode_weights: Literal["same", "int8"] = "same"
+    """`int8` also holds the decoder's matrices as int8 and decodes with those, on the CPU: half the bytes per token."""
     cuda_graphs: bool = True
-    """Capture each request shape once and replay it; without effect on the CPU."""
+    """Record each prompt length of `warm_prompt_tokens` once and replay it; without effect on the CPU."""
     compile: bool = False
     """Compile each decoder layer with torch.compile during load."""
     warm_prompt_tokens: tuple[int, int] = (12, 40)
-    """Prompt lengths, first and last, made ready during load on CUDA; others are made ready at first use."""
+    """Prompt lengths, first and last, recorded during load on CUDA, at most 64; others run unrecorded."""
     threads: Annotated[int, Field(ge=1)] | None = None
     """CPU threads of torch in this process; None leaves torch's own choice."""
 
@@ -30,4 +35,8 @@ class TorchRuntimeConfig(BaseModel):
         first, last = self.warm_prompt_tokens
         if not 1 <= first <= last:
             raise ValueError(f"warm_prompt_tokens is ({first}, {last}), expected 1 <= first <= last")
+        if last - first >= MOST_RECORDINGS:
+            raise ValueError(f"warm_prompt_tokens spans {last - first + 1} lengths, expected at most {MOST_RECORDINGS}")
+        if self.decode_weights == "int8" and self.compile:
+            raise ValueError('decode_weights = "int8" cannot be compiled; leave one of them out')
         return self

@@ -10,9 +10,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from rn_runtime_torch.cache import KeyValueCache
+from rn_runtime_torch.int8 import Int8Weight
 from rn_runtime_torch.pruning import AttentionView, TokenSelection
+from rn_runtime_torch.scratch import Scratch
 from roboneuron.contract.decoding import DecoderShape
 from roboneuron.errors import ConfigurationError
+
+MATRICES = ("qkv", "out", "gate_up", "down")
+"""Parameters of a layer that rows are multiplied with."""
 
 
 class DecoderLayer(nn.Module):
@@ -29,15 +34,26 @@ class DecoderLayer(nn.Module):
         self.norm_post = nn.Parameter(torch.empty(shape.hidden))
         self.gate_up = nn.Parameter(torch.empty(2 * shape.intermediate, shape.hidden))
         self.down = nn.Parameter(torch.empty(shape.hidden, shape.intermediate))
+        self.int8: dict[str, Int8Weight] = {}
 
-    def project(self, hidden: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Hidden (1, n, hidden) -> query (1, heads, n, width), key and value (1, key-value heads, n, width)."""
+    def quantize(self) -> None:
+        """Hold int8 copies of the matrices; steps use them from now on."""
+        self.int8 = {name: Int8Weight(getattr(self, name)) for name in MATRICES}
+
+    def project(
+        self, hidden: Tensor, cos: Tensor, sin: Tensor, scratch: Scratch, stepping: bool = False
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Hidden (1, n, hidden) -> query (1, heads, n, width), key and value (1, key-value heads, n, width).
+
+        `stepping` says that this is the one row of a decoded token. Query and key are contiguous: attention on the CPU
+        loses up to a quarter of its speed to other layouts.
+        """
+        count, width = hidden.shape[1], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)
-        packed = functional.linear(normed, self.qkv)
-        packed = packed.view(1, hidden.shape[1], -1, self.head_width).transpose(1, 2)
-        rotated, value = torch.split(packed, [self.heads + self.key_value_heads, self.key_value_heads], dim=1)
-        first, second = rotated.chunk(2, dim=-1)
-        rotated = rotated * cos + torch.cat((-second, first), dim=-1) * sin
+        packed = self._times(normed[0], "qkv", scratch, stepping).view(1, count, -1, width).transpose(1, 2)
+        turned, value = torch.split(packed, [self.heads + self.key_value_heads, self.key_value_heads], dim=1)
+        rotated = scratch.empty("rotated", hidden, 1, self.heads + self.key_value_heads, count, width)
+        rotate(turned, cos, sin, rotated)
         query, key = torch.split(rotated, [self.heads, self.key_value_heads], dim=1)
         return query, key, value
 
@@ -47,13 +63,44 @@ class DecoderLayer(nn.Module):
             query, key, value, is_causal=causal, enable_gqa=self.heads != self.key_value_heads
         )
 
-    def merge(self, hidden: Tensor, attended: Tensor) -> Tensor:
-        """Add attention and the gated layer to the residual stream (1, n, hidden)."""
-        flat = attended.transpose(1, 2).reshape(1, hidden.shape[1], -1)
-        hidden = hidden + functional.linear(flat, self.out)
+    def merge(self, hidden: Tensor, attended: Tensor, scratch: Scratch, stepping: bool = False) -> Tensor:
+        """Add attention and the gated layer to the residual stream (1, n, hidden), in place."""
+        flat = attended.transpose(1, 2).reshape(hidden.shape[1], -1)
+        self._add(hidden[0], flat, "out", stepping)
         normed = functional.rms_norm(hidden, self.norm_post.shape, self.norm_post, self.epsilon)
-        gate, up = functional.linear(normed, self.gate_up).chunk(2, dim=-1)
-        return hidden + functional.linear(functional.silu(gate) * up, self.down)
+        gate, up = self._times(normed[0], "gate_up", scratch, stepping).chunk(2, dim=-1)
+        self._add(hidden[0], functional.silu(gate, inplace=True).mul_(up), "down", stepping)
+        return hidden
+
+    def _times(self, rows: Tensor, name: str, scratch: Scratch, stepping: bool) -> Tensor:
+        """Rows (n, inputs) times a matrix -> (n, outputs)."""
+        if self.int8 and stepping:
+            return self.int8[name].times(rows)
+        weight: Tensor = getattr(self, name)
+        return torch.mm(rows, weight.t(), out=scratch.empty(name, rows, rows.shape[0], weight.shape[0]))
+
+    def _add(self, to: Tensor, rows: Tensor, name: str, stepping: bool) -> None:
+        """Add rows (n, inputs) times a matrix to (n, outputs)."""
+        if self.int8 and stepping:
+            to.add_(self.int8[name].times(rows))
+        else:
+            to.addmm_(rows, getattr(self, name).t())
+
+
+def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
+    """Rotary positions of (1, heads, n, width), halves paired, into `out`: one read of each half, no temporaries.
+
+    Source: Su et al. 2021, in the layout of the Hugging Face Llama.
+    """
+    half = heads.shape[-1] // 2
+    cos, sin = cos[:, :half], sin[:, :half]
+    first, second = torch.split(heads, half, dim=-1)
+    out_first, out_second = torch.split(out, half, dim=-1)
+    if torch.compiler.is_compiling():  # fuses by itself, and knows no `out` that is a part of a tensor
+        out.copy_(torch.cat((first * cos - second * sin, second * cos + first * sin), dim=-1))
+        return
+    torch.mul(first, cos, out=out_first).addcmul_(second, sin, value=-1)
+    torch.mul(second, cos, out=out_second).addcmul_(first, sin)
 
 
 class Decoder(nn.Module):
@@ -70,6 +117,7 @@ class Decoder(nn.Module):
         self.shape = shape
         self.visual_tokens = visual_tokens
         self.visual_kept = visual_tokens
+        self.scratch = Scratch()
         self._selection: TokenSelection | None = None
         self.embedding = nn.Parameter(torch.empty(shape.vocabulary, shape.hidden))
         self.layers = nn.ModuleList(DecoderLayer(shape) for _ in range(shape.layers))
@@ -95,6 +143,12 @@ class Decoder(nn.Module):
             )
         self._selection = selection
 
+    def quantize(self) -> None:
+        """Decode with int8 copies of the layers' matrices from now on; prompts still use the matrices themselves."""
+        for layer in self.layers:
+            assert isinstance(layer, DecoderLayer)
+            layer.quantize()
+
     def embed(self, ids: Tensor) -> Tensor:
         """Ids (...) -> embeddings (..., hidden)."""
         return functional.embedding(ids, self.embedding)
@@ -106,6 +160,7 @@ class Decoder(nn.Module):
         causal: bool,
         cache: KeyValueCache | None = None,
         rows: tuple[int, int] | None = None,
+        last: int | None = None,
     ) -> Tensor:
         """Run all layers and the final norm on a whole sequence.
 
@@ -114,12 +169,14 @@ class Decoder(nn.Module):
             causal: False lets every position see every other.
             cache: keys and values are kept there from its start when given.
             rows: positions read afterwards, for a selection that looks at them.
+            last: how many positions at the end are read afterwards; the last layer computes no others. None for all.
 
         Returns:
-            (1, n', hidden): n' is less than n by the visual tokens that the installed selection dropped.
+            (1, last, hidden), or (1, n', hidden): n' is less than n by the visual tokens that the selection dropped.
         """
-        count = hidden.shape[1]
+        count, scratch = hidden.shape[1], self.scratch
         cos, sin = self.cos[:count], self.sin[:count]
+        hidden = scratch.empty("hidden", hidden, *hidden.shape).copy_(hidden)  # layers add to it in place
         view: AttentionView | None = None
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
@@ -127,30 +184,49 @@ class Decoder(nn.Module):
                 keep = self._selection.select(view)
                 if keep is not None:
                     hidden, cos, sin = hidden[:, keep], cos[keep], sin[keep]
-            query, key, value = layer.project(hidden, cos, sin)
+            query, key, value = layer.project(hidden, cos, sin, scratch)
             if cache is not None:
-                cache.start(index, key, value)
-            hidden = layer.merge(hidden, layer.attend(query, key, value, causal))
+                key, value = cache.start(index, key, value)
+            elif value.device.type == "cpu":
+                value = scratch.empty("value", value, *value.shape).copy_(value)  # contiguous, as in `project`
             if self._selection is not None and index + 1 == self._selection.layer:
                 view = AttentionView(
                     query=query, key=key, visual_start=1, visual_count=self.visual_tokens, rows=rows, causal=causal
                 )
-        self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
+            if last is not None and index + 1 == len(self.layers):
+                self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
+                attended = self._attend_last(layer, query, key, value, causal, last)
+                hidden = layer.merge(hidden[:, -last:].clone(), attended, scratch)
+            else:
+                hidden = layer.merge(hidden, layer.attend(query, key, value, causal), scratch)
+        if last is None:
+            self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
+    @staticmethod
+    def _attend_last(layer: DecoderLayer, query: Tensor, key: Tensor, value: Tensor, causal: bool, last: int) -> Tensor:
+        """Attention of the last positions; the very last one sees everything, causal or not."""
+        if causal and last > 1:
+            return layer.attend(query, key, value, causal)[:, :, -last:]
+        return layer.attend(query[:, :, -last:], key, value, causal=False)
+
     def step(self, hidden: Tensor, position: int, cache: KeyValueCache) -> Tensor:
-        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache by one."""
+        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache by one.
+
+        `hidden` is overwritten.
+        """
         cos, sin = self.cos[position : position + 1], self.sin[position : position + 1]
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
-            query, key, value = layer.project(hidden, cos, sin)
+            query, key, value = layer.project(hidden, cos, sin, self.scratch, stepping=True)
             keys, values = cache.append(index, key, value)
-            hidden = layer.merge(hidden, layer.attend(query, keys, values, False))
+            hidden = layer.merge(hidden, layer.attend(query, keys, values, False), self.scratch, stepping=True)
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
     def logits(self, hidden: Tensor) -> Tensor:
-        """Hidden (..., hidden) after the final norm -> float32 (..., vocabulary)."""
-        return functional.linear(hidden, self.head).float()
+        """Hidden (1, n, hidden) after the final norm -> float32 (1, n, vocabulary)."""
+        # Rows as a plain matrix: a slice of three dimensions makes torch copy the whole weight for a batched product.
+        return torch.mm(hidden[0], self.head.t())[None].float()
 
     def slots(self) -> Mapping[str, Tensor]:
         """Where each tensor of the Hugging Face Llama layout goes: views on the fused parameters, by its name."""

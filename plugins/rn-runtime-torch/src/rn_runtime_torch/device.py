@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -9,6 +10,10 @@ import torch
 from rn_runtime_torch.config import TorchRuntimeConfig
 from roboneuron.errors import ConfigurationError
 
+_STREAM_BYTES = 2 * 32 * 2**20
+"""Workspaces of cuBLAS and cuBLASLt per stream: 32 MiB each on Hopper, less before. Source: PyTorch, CUDA notes."""
+_GRAPH_BYTES = 16 * 2**20
+"""Inputs, outputs and kernel arguments of one recorded graph: an estimate for a few thousand kernels."""
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -29,8 +34,16 @@ def choose_device(config: TorchRuntimeConfig) -> torch.device:
 def choose_dtype(config: TorchRuntimeConfig, device: torch.device) -> torch.dtype:
     """The configured number type, or the device's usual one."""
     if config.dtype == "auto":
-        return torch.bfloat16 if device.type == "cuda" else torch.float32
+        return torch.bfloat16 if device.type == "cuda" or has_matrix_tiles() else torch.float32
     return _DTYPES[config.dtype]
+
+
+def has_matrix_tiles() -> bool:
+    """Whether products of bfloat16 matrices run in the processor's tile unit (Intel AMX), as oneDNN uses it.
+
+    Without it bfloat16 is slower than float32 on most processors.
+    """
+    return bool(torch.backends.mkldnn.is_available() and torch.cpu._is_amx_tile_supported())  # type: ignore[no-untyped-call]
 
 
 def free_bytes(device: torch.device) -> int:
@@ -43,12 +56,43 @@ def free_bytes(device: torch.device) -> int:
     raise ConfigurationError("Cannot read the available memory from /proc/meminfo.")
 
 
-def check_fits(needed: int, device: torch.device, dtype: torch.dtype) -> None:
-    """Raise ConfigurationError when `needed` bytes are more than `device` has free."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Needs:
+    """Memory that a model needs, in bytes.
+
+    Attributes:
+        weights: of all parts, int8 copies included.
+        cache: keys and values of the longest sequence.
+        activations: the most that lives at once during the longest request.
+        recordings: number of CUDA graphs; 0 for none.
+    """
+
+    weights: int
+    cache: int
+    activations: int
+    recordings: int = 0
+
+    def working(self, device: torch.device) -> int:
+        """All that is neither weights nor cache."""
+        if device.type != "cuda":
+            return self.activations
+        passes = 2 if self.recordings else 1  # graphs share a pool of their own beside the ordinary memory
+        return passes * (self.activations + _STREAM_BYTES) + self.recordings * _GRAPH_BYTES
+
+    def total(self, device: torch.device) -> int:
+        """Everything."""
+        return self.weights + self.cache + self.working(device)
+
+
+def check_fits(needs: Needs, device: torch.device, dtype: torch.dtype) -> None:
+    """Raise ConfigurationError when a model needs more bytes than `device` has free."""
     free = free_bytes(device)
-    if needed > free:
+    if needs.total(device) > free:
+        parts = (needs.weights, needs.cache, needs.working(device))
+        weights, cache, working = (f"{part / 1e9:.2f}" for part in parts)
         raise ConfigurationError(
-            f"The model needs {needed / 1e9:.2f} GB as {str(dtype).removeprefix('torch.')} on {device}, "
+            f"The model needs {needs.total(device) / 1e9:.2f} GB as {str(dtype).removeprefix('torch.')} on {device} "
+            f"(weights {weights}, keys and values {cache}, working memory {working}), "
             f"which has {free / 1e9:.2f} GB free.",
-            hint="Free memory, choose a smaller dtype or another device.",
+            hint="Free memory, choose a smaller dtype or another device, or lower max_prompt_tokens.",
         )

@@ -13,14 +13,18 @@ from torch import Tensor, nn
 
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.config import TorchRuntimeConfig
-from rn_runtime_torch.decoder import Decoder
-from rn_runtime_torch.device import check_fits, choose_device, choose_dtype
-from rn_runtime_torch.graph import GraphCache
+from rn_runtime_torch.decoder import MATRICES, Decoder
+from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype
+from rn_runtime_torch.graph import Computation, GraphCache
+from rn_runtime_torch.int8 import check_int8
+from rn_runtime_torch.memory import PeakBytes
+from rn_runtime_torch.scratch import Scratch
 from rn_runtime_torch.weights import check_shards, load_shards
 from roboneuron.contract.decoding import PolicyModel, Request, RowsReply, RowsRequest, TokenReply, TokenRequest
 from roboneuron.contract.protocols import Acceleration
 from roboneuron.errors import ConfigurationError, InvalidInputError, UnsafeError
 
+Kind = tuple[str | int, ...]
 Check = Callable[[], None]
 """Raises when nobody wants the answer any more."""
 
@@ -49,16 +53,19 @@ class Engine:
         self._dtype = choose_dtype(config, self._device)
         check_shards(model.shards)
         with _memory_errors(self._device), torch.inference_mode():
-            self._build()
+            self._graphs = GraphCache(self._device) if self._device.type == "cuda" and config.cuda_graphs else None
+            self._recording = False
+            self._build(config)
             if acceleration is not None:
                 acceleration.apply(self._decoder)
             if config.compile:
                 _compile(self._decoder)
-            self._graphs = GraphCache(self._device) if self._device.type == "cuda" and config.cuda_graphs else None
+            self._recording = self._graphs is not None
             for length in self._warm_lengths(config):
                 self.answer(model.example(length), lambda: None)
+            self._recording = False
 
-    def _build(self) -> None:
+    def _build(self, config: TorchRuntimeConfig) -> None:
         model, device, dtype = self._model, self._device, self._dtype
         length = model.visual_tokens + model.max_prompt_tokens + model.extra_tokens + model.max_new_tokens
         if length > model.decoder.max_positions:
@@ -73,24 +80,62 @@ class Engine:
         parts: dict[str, nn.Module] = {"front": front, "decoder": decoder}
         if back is not None:
             parts["back"] = back
-        count = sum(parameter.numel() for part in parts.values() for parameter in part.parameters())
-        check_fits(count * dtype.itemsize, device, dtype)
+        self._front, self._decoder, self._back = cast(Front, front), decoder, back
+        quantized = config.decode_weights == "int8" and model.max_new_tokens > 0
+        if quantized:
+            check_int8(device)
         for part in parts.values():
-            part.to(dtype).to_empty(device=device).eval()
+            part.to(dtype).eval()
+        self._place_state(length, torch.device("meta"))
+        check_fits(self._needs(config, list(parts.values()), quantized), device, dtype)
+        for part in parts.values():
+            part.to_empty(device=device)
         slots = {f"decoder.{name}": slot for name, slot in decoder.slots().items()}
         for word in parts.keys() - {"decoder"}:
             slots |= {f"{word}.{name}": slot.data for name, slot in parts[word].named_parameters()}
         load_shards(model.shards, slots)
-        decoder.prepare_positions(device, dtype)
-        self._front = cast(Front, front)
-        self._decoder = decoder
-        self._back = back
-        self._cache = KeyValueCache(model.decoder, length, device, dtype) if model.max_new_tokens else None
+        self._place_state(length, device)
+        decoder.scratch = Scratch(keep=device.type == "cpu" and not config.compile)
+        if quantized:
+            decoder.quantize()
+
+    def _place_state(self, length: int, device: torch.device) -> None:
+        """Rotary tables and cache on `device`."""
+        shape = self._model.decoder
+        self._decoder.prepare_positions(device, self._dtype)
+        self._cache = KeyValueCache(shape, length, device, self._dtype) if self._model.max_new_tokens else None
+
+    def _needs(self, config: TorchRuntimeConfig, parts: list[nn.Module], quantized: bool) -> Needs:
+        """Memory for the longest request, found by running it on the parts while they are on the device "meta"."""
+        model, dtype = self._model, self._dtype
+        parameters = [parameter for part in parts for parameter in part.parameters()]
+        tables = [table for part in parts for table in part.buffers()]
+        request = model.example(model.max_prompt_tokens - self._added_tokens())
+        inputs = {
+            name: torch.empty((1, *array.shape), dtype=dtype, device="meta")
+            for name, array in request.prompt.arrays.items()
+        }
+        inputs["ids"] = torch.empty((1, request.prompt.ids.size), dtype=torch.int64, device="meta")
+        kept = self._cache.tensors() if self._cache is not None else ()
+        with PeakBytes([*parameters, *tables, *kept]) as peak:
+            self._computation(request, lambda: None)[1](inputs)
+        weights = sum(parameter.numel() for parameter in parameters) * dtype.itemsize
+        if quantized:
+            weights += sum(getattr(layer, name).numel() for layer in self._decoder.layers for name in MATRICES)
+        return Needs(
+            weights=weights,
+            cache=sum(tensor.nbytes for tensor in kept),
+            activations=peak.peak,
+            recordings=len(self._warm_lengths(config)) if self._graphs is not None else 0,
+        )
+
+    def _added_tokens(self) -> int:
+        """Ids that the family adds to each prompt."""
+        return int(self._model.example(1).prompt.ids.size) - 1
 
     def _warm_lengths(self, config: TorchRuntimeConfig) -> range:
         first, last = config.warm_prompt_tokens
-        added_by_family = self._model.example(1).prompt.ids.size - 1
-        last = min(last, self._model.max_prompt_tokens - added_by_family)
+        last = min(last, self._model.max_prompt_tokens - self._added_tokens())
         first = min(first, last)
         return range(first, (first if self._graphs is None else last) + 1)
 
@@ -114,10 +159,7 @@ class Engine:
                 for name, array in request.prompt.arrays.items()
             }
             inputs["ids"] = torch.from_numpy(request.prompt.ids)[None].to(self._device)
-            if isinstance(request, TokenRequest):
-                outputs, kept = self._decode(request, inputs, check)
-            else:
-                outputs, kept = self._read_rows(request, inputs)
+            outputs, kept = self._execute(*self._computation(request, check), inputs)
             if not bool(outputs["finite"]):
                 raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
             metrics = {"tokens_kept": float(kept)}
@@ -126,7 +168,11 @@ class Engine:
                 return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics)
             return RowsReply(values=outputs["values"].cpu().numpy(), metrics=metrics)
 
-    def _decode(self, request: TokenRequest, inputs: dict[str, Tensor], check: Check) -> tuple[dict[str, Tensor], int]:
+    def _computation(self, request: Request, check: Check) -> tuple[Kind, Computation]:
+        """What answers a request, and what of the request decides its shapes besides the inputs."""
+        return self._decode(request, check) if isinstance(request, TokenRequest) else self._read_rows(request)
+
+    def _decode(self, request: TokenRequest, check: Check) -> tuple[Kind, Computation]:
         decoder, cache = self._decoder, self._cache
         if cache is None or not 1 <= request.max_new_tokens <= self._model.max_new_tokens:
             raise InvalidInputError(
@@ -137,13 +183,12 @@ class Engine:
         def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
             hidden = self._embed(held)
             position = hidden.shape[1]
-            hidden = decoder(hidden, causal=True, cache=cache)[:, -1:]
+            hidden = decoder(hidden, causal=True, cache=cache, last=1)
             logits = first = decoder.logits(hidden)[:, -1]
             finite = torch.isfinite(logits).all()
             tokens = [logits.argmax(dim=-1)]
             while len(tokens) < request.max_new_tokens:
-                if self._graphs is None:
-                    check()
+                check()
                 hidden = decoder.step(decoder.embed(tokens[-1])[None], position, cache)
                 logits = decoder.logits(hidden)[:, -1]
                 finite = finite & torch.isfinite(logits).all()
@@ -151,17 +196,17 @@ class Engine:
                 position += 1
             return {"tokens": torch.cat(tokens), "logits": first[0], "finite": finite}
 
-        return self._execute(("tokens", request.max_new_tokens), compute, inputs)
+        return ("tokens", request.max_new_tokens), compute
 
-    def _read_rows(self, request: RowsRequest, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
+    def _read_rows(self, request: RowsRequest) -> tuple[Kind, Computation]:
         decoder, back = self._decoder, self._back
 
         def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
             hidden = self._embed(held)
             end = hidden.shape[1] - request.tail
-            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end))
-            end = hidden.shape[1] - request.tail
-            values = hidden[:, end - request.rows : end]
+            last = request.rows + request.tail
+            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end), last=last)
+            values = hidden[:, : request.rows]
             finite = torch.isfinite(values).all()
             if request.read == "output" and back is not None:
                 values = back(values)
@@ -172,22 +217,21 @@ class Engine:
                 values = logits.argmax(dim=-1)
             return {"values": values[0].float(), "finite": finite}
 
-        return self._execute(("rows", request.rows, request.tail, request.read), compute, inputs)
+        return ("rows", request.rows, request.tail, request.read), compute
 
     def _embed(self, held: dict[str, Tensor]) -> Tensor:
         arrays = {name: tensor for name, tensor in held.items() if name != "ids"}
         return self._front(arrays, held["ids"], self._decoder.embed)
 
-    def _execute(
-        self,
-        kind: tuple[str | int, ...],
-        compute: Callable[[dict[str, Tensor]], dict[str, Tensor]],
-        inputs: dict[str, Tensor],
-    ) -> tuple[dict[str, Tensor], int]:
-        if self._graphs is None:
-            return compute(inputs), self._decoder.visual_kept
-        key = (kind, tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())))
-        return self._graphs.run(key, compute, inputs, lambda: self._decoder.visual_kept)
+    def _execute(self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
+        if self._graphs is not None:
+            key = (kind, tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())))
+            if self._recording:
+                self._graphs.record(key, compute, inputs, lambda: self._decoder.visual_kept)
+            found = self._graphs.run(key, inputs)
+            if found is not None:
+                return found
+        return compute(inputs), self._decoder.visual_kept
 
 
 def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:

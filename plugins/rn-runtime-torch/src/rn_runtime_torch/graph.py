@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -11,7 +10,6 @@ from torch import Tensor
 
 Computation = Callable[[dict[str, Tensor]], dict[str, Tensor]]
 
-_MOST_GRAPHS = 64
 _WARM_RUNS = 2
 """Runs on a side stream before capture: libraries allocate their workspaces and choose kernels in them."""
 
@@ -25,37 +23,41 @@ class _Recorded:
 
 
 class GraphCache:
-    """Recorded computations by key, least recently used ones dropped; they share one memory pool."""
+    """Recorded computations by key; they share one memory pool and one stream, so libraries' workspaces exist once.
+
+    Nothing is recorded by `run`: recording takes as long as several requests, and the robot may be moving.
+    """
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
-        self._recorded: OrderedDict[Hashable, _Recorded] = OrderedDict()
+        self._recorded: dict[Hashable, _Recorded] = {}
         self._pool = torch.cuda.graph_pool_handle()
+        self._side: torch.cuda.Stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
 
     def __len__(self) -> int:
         return len(self._recorded)
 
-    def run(
-        self, key: Hashable, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]
-    ) -> tuple[dict[str, Tensor], int]:
-        """Replay the computation recorded for `key`, recording it first when it is new.
+    def record(self, key: Hashable, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]) -> None:
+        """Record the computation for `key`.
 
         Args:
             key: everything that changes shapes or control flow.
             compute: pure up to buffers that never move; run only while recording.
             inputs: tensors on the device, of the shapes that belong to `key`.
             note: a number known after `compute` ran in Python; kept with the recording.
+        """
+        with torch.cuda.device(self._device):
+            self._recorded[key] = self._record(compute, inputs, note)
+
+    def run(self, key: Hashable, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int] | None:
+        """Replay what was recorded for `key`; None when nothing was.
 
         Returns:
             Outputs, valid until the next call, and the note.
         """
-        if key not in self._recorded:
-            with torch.cuda.device(self._device):
-                self._recorded[key] = self._record(compute, inputs, note)
-            if len(self._recorded) > _MOST_GRAPHS:
-                self._recorded.popitem(last=False)
-        self._recorded.move_to_end(key)
-        found = self._recorded[key]
+        found = self._recorded.get(key)
+        if found is None:
+            return None
         for name, tensor in inputs.items():
             found.inputs[name].copy_(tensor)
         found.graph.replay()
@@ -63,13 +65,13 @@ class GraphCache:
 
     def _record(self, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]) -> _Recorded:
         held = {name: tensor.clone() for name, tensor in inputs.items()}
-        side = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
-        side.wait_stream(torch.cuda.current_stream(self._device))
-        with torch.cuda.stream(side):
+        self._side.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(self._side):
             for _ in range(_WARM_RUNS):
                 compute(held)
-        torch.cuda.current_stream(self._device).wait_stream(side)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph, pool=self._pool, capture_error_mode="thread_local"):
+        # On the stream of the warm runs: there the workspaces exist and stay outside the graphs' pool.
+        with torch.cuda.graph(graph, pool=self._pool, stream=self._side, capture_error_mode="thread_local"):
             outputs = compute(held)
+        torch.cuda.current_stream(self._device).wait_stream(self._side)
         return _Recorded(graph, held, outputs, note())

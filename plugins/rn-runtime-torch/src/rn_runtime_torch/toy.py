@@ -130,4 +130,6 @@ class EveryOtherToken:
     def select(self, view: AttentionView) -> Tensor:
         """See `rn_runtime_torch.pruning.TokenSelection`."""
         start, end, count = view.visual_start, view.visual_start + view.visual_count, view.key.shape[2]
-        return torch.tensor([*range(start), *range(start, end, 2), *range(end, count)], device=view.key.device)
+        parts = ((0, start, 1), (start, end, 2), (end, count, 1))
+        # Made on the device: a list of the host cannot be copied while a CUDA graph is recorded.
+        return torch.cat([torch.arange(*part, device=view.key.device) for part in parts])

@@ -79,7 +79,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._listeners: dict[str, int] = {}
         self._beat_s: float | None = None
         self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
-        self._warm_up = self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
+        # Of the superclass: what nobody is to see has no listeners in the status.
+        self._warm_up = super().create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
