@@ -14,8 +14,8 @@ from rn_robot_fr3.profile import profile
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, JointSample, PostureInspector
 from roboneuron.errors import RefusedError
+from roboneuron.gate.joint_limits import joint_limits as gate_limits
 from roboneuron.gate.joints import check_joints
-from roboneuron.gate.joints import joint_limits as gate_limits
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 from roboneuron.gate.motion.joint_space import JointSpace, braking_velocity
 
