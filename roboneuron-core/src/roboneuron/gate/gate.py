@@ -13,7 +13,8 @@ from typing import Any
 from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch, LatchState
-from roboneuron.gate.joints import check_joints, joint_commands, joint_limits
+from roboneuron.gate.joint_limits import joint_limits
+from roboneuron.gate.joints import check_joints, joint_commands
 from roboneuron.gate.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
 from roboneuron.gate.motion import Leg, LimitError
 from roboneuron.gate.rate import RateLimit

@@ -74,9 +74,9 @@ def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
 
 
 def send_now(access: Access, exposed: Exposed, request: GateRequest) -> Answer | None:
-    """Send one message without blocking; None when something has to be waited for first."""
+    """Send one message without blocking; None when something has to be waited for, or a way to be judged, first."""
     writer = access.traffic.known_writer(exposed)
-    if writer is None or request.dry_run or (exposed.endpoint.joint_limited and request.joints is None):
+    if writer is None or request.dry_run or exposed.endpoint.joint_limited:
         return None
     matched = writer.matched()
     if not matched:

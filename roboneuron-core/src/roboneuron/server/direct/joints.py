@@ -14,7 +14,7 @@ from pydantic import Field
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.gate.acceleration import shortest_s
-from roboneuron.gate.joints import JointLimit, joint_limits
+from roboneuron.gate.joint_limits import JointLimit, joint_limits
 from roboneuron.server.direct.access import Access
 from roboneuron.server.direct.arguments import (
     Number,
