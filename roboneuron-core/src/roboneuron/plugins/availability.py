@@ -19,14 +19,19 @@ def is_importable(module: str) -> bool:
         return False
 
 
+def present(requirement: Requirement) -> tuple[str, ...]:
+    """Which of its module and alternatives can be found, in their order."""
+    return tuple(module for module in (requirement.module, *requirement.alternatives) if is_importable(module))
+
+
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
-    """Those of `requirements` whose module cannot be found, in their order."""
-    return tuple(r for r in requirements if not is_importable(r.module))
+    """Those of `requirements` for which neither the module nor an alternative can be found, in their order."""
+    return tuple(r for r in requirements if not present(r))
 
 
 def explain(absent: Iterable[Requirement]) -> str:
     """One sentence that names the absent modules and the commands that provide them."""
     parts = tuple(absent)
-    modules = ", ".join(f"'{r.module}'" for r in parts)
+    modules = ", ".join(" or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts)
     commands = "; ".join(dict.fromkeys(r.install for r in parts))
     return f"Needs {modules}, not installed; run: {commands}"
