@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, cast
 
-from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.availability import is_importable
+from roboneuron.plugins import availability
 from roboneuron.plugins.specs import Requirement
 
 Engine = Literal["pybullet", "mujoco"]
@@ -14,22 +13,10 @@ EngineChoice = Literal["auto", "pybullet", "mujoco"]
 """What a user may ask for."""
 
 ENGINES: tuple[Engine, ...] = ("pybullet", "mujoco")
-"""In the order in which "auto" looks for them."""
 REQUIREMENT = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
+"""PyBullet comes first because it has been here longer; it has wheels for Python 3.11 on x86-64 only."""
 
 
 def choose_engine(choice: EngineChoice) -> Engine:
-    """The engine to use: `choice`, or for "auto" the first of `ENGINES` that is installed.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
-    wanted = ENGINES if choice == "auto" else (choice,)
-    for engine in wanted:
-        if is_importable(engine):
-            return engine
-    names = "neither pybullet nor mujoco is" if choice == "auto" else f"{choice} is not"
-    raise ConfigurationError(
-        f"The FR3 cannot be simulated: {names} installed.",
-        hint="pip install mujoco. PyBullet has wheels for Python 3.11 on x86-64 only.",
-    )
+    """The engine to use. Raises ConfigurationError when `choice`, or for "auto" each of them, is not installed."""
+    return cast(Engine, availability.choose(REQUIREMENT, choice))

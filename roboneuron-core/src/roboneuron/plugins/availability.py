@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable
 from importlib.util import find_spec
 
+from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import Requirement
 
 
@@ -27,6 +28,21 @@ def present(requirement: Requirement) -> tuple[str, ...]:
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
     """Those of `requirements` for which neither the module nor an alternative can be found, in their order."""
     return tuple(r for r in requirements if not present(r))
+
+
+def choose(requirement: Requirement, choice: str = "auto") -> str:
+    """The module to use: `choice`, or for "auto" the first of module and alternatives that is there.
+
+    Raises:
+        ConfigurationError: it is not there.
+    """
+    found = present(requirement)
+    if choice == "auto" and found:
+        return found[0]
+    if choice in found:
+        return choice
+    wanted = requirement if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
+    raise ConfigurationError(f"{explain([wanted])}.")
 
 
 def explain(absent: Iterable[Requirement]) -> str:
