@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
-# Wheels for Linux on the package index, 2026-11: pybullet 3.2.7 cp311 (x86_64 only); mujoco 3.17.0 cp310 - cp314.
+# Wheels for Linux on the package index, 2026-11: pybullet 3.2.7 cp311 (x86_64 only); mujoco 3.17.0 cp311 - cp314.
 PLACES = [
     ("3.11", "x86_64", "pybullet"),
     ("3.12", "x86_64", "mujoco"),

@@ -6,6 +6,8 @@ nothing, and a scene of boxes and cylinders takes it less time than software Ope
 
 from __future__ import annotations
 
+import functools
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -37,25 +39,27 @@ def render(
         T_base_mount: float64 (4, 4), pose of the mount frame in the base frame.
     """
     pose, count = T_base_mount @ calibration.T_mount_camera, width * height
-    rays = _rays(calibration.intrinsics, width, height) @ pose[:3, :3].T
+    rays = _rays(tuple(calibration.intrinsics.ravel().tolist()), width, height) @ pose[:3, :3].T
     geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
     origin = np.ascontiguousarray(pose[:3, 3])
     mujoco.mj_multiRay(
         model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, FAR_M
-    )  # fmt: skip
+    )
+    hit = np.flatnonzero(geoms >= 0)
     light = np.array(LIGHT_DIRECTION) / np.linalg.norm(LIGHT_DIRECTION)
-    brightness = AMBIENT + DIFFUSE * np.maximum(normals.reshape(-1, 3) @ light, 0.0)
+    brightness = AMBIENT + DIFFUSE * np.maximum(normals.reshape(-1, 3)[hit] @ light, 0.0)
     image = np.broadcast_to(backdrop(height), (height, width, 3)).reshape(-1, 3).copy()
-    hit = geoms >= 0
-    image[hit] = 255.0 * model.geom_rgba[geoms[hit], :3] * brightness[hit, None]
+    image[hit] = (255.0 * model.geom_rgba[:, :3])[geoms[hit]] * brightness.astype(np.float32)[:, None]
     return image.reshape(height, width, 3)
 
 
-def _rays(intrinsics: F64, width: int, height: int) -> F64:
+@functools.lru_cache(maxsize=4)
+def _rays(intrinsics: tuple[float, ...], width: int, height: int) -> F64:
     """Directions (H * W, 3) of unit length in the camera's optical frame, row by row."""
+    fx, _, cx, _, fy, cy, *_ = intrinsics
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    x = (u.ravel() - intrinsics[0, 2]) / intrinsics[0, 0]
-    y = (v.ravel() - intrinsics[1, 2]) / intrinsics[1, 1]
+    x = (u.ravel() - cx) / fx
+    y = (v.ravel() - cy) / fy
     rays = np.column_stack([x, y, np.ones_like(x)])
     directions: F64 = rays / np.linalg.norm(rays, axis=1)[:, None]
     return directions
