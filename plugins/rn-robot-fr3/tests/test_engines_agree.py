@@ -92,5 +92,6 @@ def test_without_an_engine_the_refusal_names_both_and_the_remedy(monkeypatch: py
     with pytest.raises(ConfigurationError, match=reason):
         choose_engine("auto")
     assert explain(missing([REQUIREMENT])) == reason
-    with pytest.raises(ConfigurationError, match="Needs 'mujoco', not installed"):
+    installed(monkeypatch, "pybullet")
+    with pytest.raises(ConfigurationError, match=r"Needs 'mujoco', not installed.*'auto': pybullet is installed"):
         SimulatedDriver(SimulatedDriverOptions(engine="mujoco"), profile(), MemoryTopics())

@@ -56,7 +56,7 @@ class MujocoWorld:
         if gui:
             raise ConfigurationError(
                 "The simulation was asked for a window, which it has with PyBullet only.",
-                hint="Set gui = false, or install pybullet and set engine = 'pybullet'.",
+                hint="Set gui = false, or use PyBullet on Python 3.11: pip compiles it on newer versions.",
             )
         spec = _read_robot()
         _prepare_robot(spec)

@@ -42,9 +42,7 @@ def render(
     rays = _rays(tuple(calibration.intrinsics.ravel().tolist()), width, height) @ pose[:3, :3].T
     geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
     origin = np.ascontiguousarray(pose[:3, 3])
-    mujoco.mj_multiRay(
-        model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, FAR_M
-    )
+    mujoco.mj_multiRay(model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, FAR_M)
     hit = np.flatnonzero(geoms >= 0)
     light = np.array(LIGHT_DIRECTION) / np.linalg.norm(LIGHT_DIRECTION)
     brightness = AMBIENT + DIFFUSE * np.maximum(normals.reshape(-1, 3)[hit] @ light, 0.0)

@@ -42,7 +42,8 @@ def choose(requirement: Requirement, choice: str = "auto") -> str:
     if choice in found:
         return choice
     wanted = requirement if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
-    raise ConfigurationError(f"{explain([wanted])}.")
+    hint = f"Or leave the choice to 'auto': {' and '.join(found)} is installed." if found else ""
+    raise ConfigurationError(f"{explain([wanted])}.", hint=hint)
 
 
 def explain(absent: Iterable[Requirement]) -> str:
