@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 ARGS ?=
+PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
@@ -17,7 +18,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-units test-ros test-all check format bench soak bench-vla interop interop-sglang clean
+.PHONY: help demo demo-bases test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -38,6 +39,9 @@ test-ros: $(VENV)/.develop ## its tests with ROS processes, one at a time: they 
 
 test-all: $(VENV)/.develop ## the default suite and the slow tests
 	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)
+
+test-pythons: ## demo and bases on each of PYTHONS, in a fresh environment: what a new user gets
+	$(PYTHON) tests/pythons/check.py $(PYTHONS)
 
 check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
@@ -99,5 +103,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(PIP) torch==2.13.0
 	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)) \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers
+	  ros-jazzy-test-msgs transformers mujoco
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases

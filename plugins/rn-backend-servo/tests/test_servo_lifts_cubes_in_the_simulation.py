@@ -11,9 +11,11 @@ pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 
 from rn_backend_servo.backend import ServoBackend
 from rn_controller_urdf.controller import UrdfController
+from rn_robot_fr3.engine import ENGINES
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
 from roboneuron.contract import Action, ActionChunk, Frame, JointCommand, JointSample, Observation
+from roboneuron.plugins.availability import is_importable
 
 PERIOD_S = 0.1
 ROBOT = profile()
@@ -81,9 +83,9 @@ class Cell:
         return self.simulation.cubes()[colour].held_s >= 1.0
 
 
-@pytest.fixture
-def cell() -> Iterator[Cell]:
-    with Simulation(3) as simulation:
+@pytest.fixture(params=[engine for engine in ENGINES if is_importable(engine)])
+def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
+    with Simulation(3, engine=request.param) as simulation:
         yield Cell(simulation)
 
 
@@ -101,7 +103,6 @@ def test_cube_that_is_moved_away_at_the_last_moment_is_found_again(cell: Cell) -
         return chunk.note == "descending to green cube" and cell.simulation.tcp_pose().position_m[2] < 0.085
 
     cell.run("grab the green block", is_about_to_grasp)
-    world = cell.simulation.world
-    world.set_body_pose(world.cube_bodies["green"], (0.42, -0.15, 0.0232), (0.0, 0.0, 0.0, 1.0))
+    cell.simulation.world.set_cubes({"green": ((0.42, -0.15, 0.0232), (0.0, 0.0, 0.0, 1.0))})
     last = cell.run("grab the green block", lambda _: cell.is_held("green"))
     assert last.metrics["failed_attempts"] == 1.0

@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 
 from rn_robot_bases.drivetrain import BaseVelocity
+from rn_robot_bases.engine import Engine
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
@@ -49,16 +50,20 @@ TRACKING = [
 ]
 
 
+# In MuJoCo contacts are springs: a wheel under a strong side force slips a little more.
+SLACK = {"pybullet": 1.0, "mujoco": 2.0}
+
+
 @pytest.mark.parametrize(("platform", "linear", "angular", "linear_error", "angular_error"), TRACKING)
 def test_base_moves_at_the_commanded_velocity(
-    platform: Platform, linear: float, angular: float, linear_error: float, angular_error: float
+    engine: Engine, platform: Platform, linear: float, angular: float, linear_error: float, angular_error: float
 ) -> None:
-    with Simulation(platform) as base:
+    with Simulation(platform, engine=engine) as base:
         base.run(linear, angular, 1.5)
         states = [base.run(linear, angular, 0.1) for _ in range(25)]
     speed, turning = moved(states)
-    assert speed == pytest.approx(linear, abs=linear_error)
-    assert turning == pytest.approx(angular, abs=angular_error)
+    assert speed == pytest.approx(linear, abs=linear_error * SLACK[engine])
+    assert turning == pytest.approx(angular, abs=angular_error * SLACK[engine])
 
 
 REFUSED = [
@@ -74,9 +79,9 @@ REFUSED = [
 
 @pytest.mark.parametrize(("platform", "linear", "angular", "reason"), REFUSED)
 def test_impossible_velocity_is_refused_and_changes_nothing(
-    platform: Platform, linear: float, angular: float, reason: str
+    engine: Engine, platform: Platform, linear: float, angular: float, reason: str
 ) -> None:
-    with Simulation(platform) as base:
+    with Simulation(platform, engine=engine) as base:
         base.run(0.2, 0.0, 0.5)
         with pytest.raises(RefusedError, match=reason):
             base.drive(linear, angular)
@@ -85,8 +90,8 @@ def test_impossible_velocity_is_refused_and_changes_nothing(
 
 
 @EVERY_PLATFORM
-def test_base_stops_when_commands_cease(platform: Platform) -> None:
-    with Simulation(platform, command_timeout_s=0.3) as base:
+def test_base_stops_when_commands_cease(engine: Engine, platform: Platform) -> None:
+    with Simulation(platform, command_timeout_s=0.3, engine=engine) as base:
         base.run(0.4, 0.3, 1.0)
         base.step(round(0.25 / STEP_S))
         assert base.state().motion == "driving"
@@ -99,9 +104,9 @@ def test_base_stops_when_commands_cease(platform: Platform) -> None:
 
 
 @EVERY_PLATFORM
-def test_hold_brakes_within_the_braking_distance(platform: Platform) -> None:
+def test_hold_brakes_within_the_braking_distance(engine: Engine, platform: Platform) -> None:
     speed = platform.limits.forward_m_s
-    with Simulation(platform) as base:
+    with Simulation(platform, engine=engine) as base:
         base.run(speed, 0.0, 2.0)
         start = base.state().true_pose
         base.hold()
@@ -115,9 +120,9 @@ def test_hold_brakes_within_the_braking_distance(platform: Platform) -> None:
 
 
 @EVERY_PLATFORM
-def test_setpoint_never_changes_faster_than_the_acceleration(platform: Platform) -> None:
+def test_setpoint_never_changes_faster_than_the_acceleration(engine: Engine, platform: Platform) -> None:
     limits, change = platform.limits, platform.geometry.acceleration_m_s2 * STEP_S
-    with Simulation(platform) as base:
+    with Simulation(platform, engine=engine) as base:
         previous = 0.0
         for linear in (limits.forward_m_s, limits.backward_m_s, 0.0):
             for _ in range(600):
@@ -127,9 +132,9 @@ def test_setpoint_never_changes_faster_than_the_acceleration(platform: Platform)
             assert previous == pytest.approx(linear)
 
 
-def test_car_never_steers_beyond_its_turning_radius_on_the_way() -> None:
+def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -> None:
     radius_m = RACECAR.limits.min_turning_radius_m
-    with Simulation(RACECAR) as base:
+    with Simulation(RACECAR, engine=engine) as base:
         for linear, angular in ((1.0, 1.3), (1.0, -1.3), (-0.5, 0.6), (0.3, 0.4), (0.0, 0.0)):
             for _ in range(100):
                 speed, turning = base.run(linear, angular, STEP_S).setpoint
@@ -142,19 +147,19 @@ def test_car_never_steers_beyond_its_turning_radius_on_the_way() -> None:
     [(DIFFDRIVE, 0.005), (HUSKY, 0.05), (RACECAR, 0.005)],
     ids=["diffdrive", "husky", "racecar"],
 )
-def test_odometry_agrees_with_the_true_pose_over_a_path(platform: Platform, share: float) -> None:
-    with Simulation(platform) as base:
+def test_odometry_agrees_with_the_true_pose_over_a_path(engine: Engine, platform: Platform, share: float) -> None:
+    with Simulation(platform, engine=engine) as base:
         length_m = 0.0
         for linear, angular, duration_s in ((0.4, 0.0, 3.0), (0.4, 0.4, 4.0), (0.5, -0.5, 5.0), (0.3, 0.0, 2.0)):
             state = base.run(linear, angular, duration_s)
             length_m += linear * duration_s
-    assert error_m(state) < share * length_m
+    assert error_m(state) < share * SLACK[engine] * length_m
     heading_error = math.remainder(state.odometry.yaw_rad - state.true_pose.yaw_rad, 2.0 * math.pi)
-    assert abs(heading_error) < 0.12
+    assert abs(heading_error) < 0.12 * SLACK[engine]
 
 
-def test_husky_odometry_knows_about_which_point_it_turns() -> None:
-    with Simulation(HUSKY) as base:
+def test_husky_odometry_knows_about_which_point_it_turns(engine: Engine) -> None:
+    with Simulation(HUSKY, engine=engine) as base:
         base.run(0.0, 0.8, 1.0)
         # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and both must say so.
         start = base.state()
@@ -180,16 +185,16 @@ def test_integration_is_of_second_order() -> None:
 
 
 @EVERY_PLATFORM
-def test_same_commands_give_the_same_motion(platform: Platform) -> None:
+def test_same_commands_give_the_same_motion(engine: Engine, platform: Platform) -> None:
     ends = []
     for _ in range(2):
-        with Simulation(platform) as base:
+        with Simulation(platform, engine=engine) as base:
             ends.append(base.run(0.4, 0.4, 1.0).true_pose)
     assert ends[0] == ends[1]
 
 
-def test_simulation_is_opened_once_and_stepped_only_while_open() -> None:
-    base = Simulation(DIFFDRIVE)
+def test_simulation_is_opened_once_and_stepped_only_while_open(engine: Engine) -> None:
+    base = Simulation(DIFFDRIVE, engine=engine)
     with pytest.raises(StateError, match="not open"):
         base.step()
     with base, pytest.raises(StateError, match="already"):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from rn_robot_bases.engine import Engine
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.paths import PATHS, Segment, planned_track
 from rn_robot_bases.picture import draw_track
@@ -31,9 +32,9 @@ def test_the_square_is_none_for_a_car() -> None:
 
 
 @EVERY_PLATFORM
-def test_base_ends_where_its_path_is_planned_to_end(platform: Platform) -> None:
+def test_base_ends_where_its_path_is_planned_to_end(engine: Engine, platform: Platform) -> None:
     path = PATHS[platform.name]
-    with Simulation(platform) as base:
+    with Simulation(platform, engine=engine) as base:
         for segment in path.segments:
             base.run(segment.linear_m_s, segment.angular_rad_s, segment.duration_s)
         base.hold()
@@ -51,9 +52,9 @@ def test_square_comes_back_to_its_start() -> None:
     assert end.yaw_rad == pytest.approx(2.0 * math.pi, abs=1e-3)
 
 
-def test_track_is_drawn_with_its_robots() -> None:
+def test_track_is_drawn_with_its_robots(engine: Engine) -> None:
     track = planned_track(DIFFDRIVE, [Segment(linear_m_s=0.5, angular_rad_s=0.5, duration_s=4.0)])
-    image = draw_track(DIFFDRIVE, track, copies=3, width=160, height=120)
+    image = draw_track(DIFFDRIVE, track, copies=3, width=160, height=120, engine=engine)
     assert image.shape == (120, 160, 3)
     assert image.dtype == np.uint8
     red, blue = image[:, :, 0].astype(int), image[:, :, 2].astype(int)
@@ -61,7 +62,7 @@ def test_track_is_drawn_with_its_robots() -> None:
     assert int((blue - red > 40).sum()) > 30, "the bodies are blue"
 
 
-def test_picture_of_no_track_is_refused() -> None:
+def test_picture_of_no_track_is_refused(engine: Engine) -> None:
     with pytest.raises(InvalidInputError, match="without poses"):
-        draw_track(DIFFDRIVE, [])
-    assert draw_track(DIFFDRIVE, [PlanarPose()], copies=1, width=64, height=48).shape == (48, 64, 3)
+        draw_track(DIFFDRIVE, [], engine=engine)
+    assert draw_track(DIFFDRIVE, [PlanarPose()], copies=1, width=64, height=48, engine=engine).shape == (48, 64, 3)

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.simulation import Simulation
 from roboneuron.contract import CameraCalibration
@@ -42,9 +43,9 @@ def corners_m(cube: CubeState) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
 @pytest.mark.parametrize("seed", [0, 3])
-def test_projected_cube_corners_bound_the_coloured_pixels(seed: int, width: int, height: int) -> None:
+def test_projected_cube_corners_bound_the_coloured_pixels(engine: Engine, seed: int, width: int, height: int) -> None:
     seen = 0
-    with Simulation(seed) as simulation:
+    with Simulation(seed, engine=engine) as simulation:
         for camera in cameras():
             calibration = camera.calibration(width, height)
             mount = simulation.world.T_base_tcp() if camera.mount == "tcp" else np.eye(4)
@@ -62,10 +63,10 @@ def test_projected_cube_corners_bound_the_coloured_pixels(seed: int, width: int,
     assert seen >= 5
 
 
-def test_front_camera_sees_each_cube_centre_within_half_a_pixel_of_its_blob() -> None:
+def test_front_camera_sees_each_cube_centre_within_half_a_pixel_of_its_blob(engine: Engine) -> None:
     errors = []
     for seed in (0, 1):
-        with Simulation(seed) as simulation:
+        with Simulation(seed, engine=engine) as simulation:
             front = cameras()[0]
             image = simulation.render("front", 640, 480)
             for name, cube in simulation.cubes().items():

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.simulation import STEP_S, Simulation
@@ -28,8 +29,8 @@ def solve(target: pin.SE3, seed_rad: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 @pytest.mark.parametrize(("seed", "colour"), [(0, "red"), (1, "blue")])
-def test_scripted_pick_lifts_the_cube_and_only_that(seed: int, colour: str) -> None:
-    with Simulation(seed) as simulation:
+def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, colour: str) -> None:
+    with Simulation(seed, engine=engine) as simulation:
         cube, q = simulation.cubes()[colour], np.array(HOME_RAD)
         x, y = cube.position_m[:2]
         yaw = 2.0 * np.arctan2(cube.quaternion_xyzw[2], cube.quaternion_xyzw[3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.scene import EDGE_M, REGION_X_M, REGION_Y_M, RGBA_BY_COLOUR, SPACING_M, random_cubes
 from rn_robot_fr3.simulation import Simulation
 from roboneuron.errors import ConfigurationError
@@ -27,8 +28,8 @@ def test_cubes_lie_in_reach_with_room_for_a_finger_between_them(colours: tuple[s
         assert all(EDGE_M[0] <= cube.edge_m <= EDGE_M[1] for cube in cubes)
 
 
-def test_cubes_stay_where_the_scene_puts_them() -> None:
-    with Simulation(11) as simulation:
+def test_cubes_stay_where_the_scene_puts_them(engine: Engine) -> None:
+    with Simulation(11, engine=engine) as simulation:
         before = simulation.cubes()
         simulation.step(240)
         for name, cube in simulation.cubes().items():

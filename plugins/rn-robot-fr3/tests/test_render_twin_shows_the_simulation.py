@@ -11,6 +11,7 @@ import pytest
 
 from rn_robot_fr3.camera_source import SimulatedCameras
 from rn_robot_fr3.cameras import cameras
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.profile import profile
@@ -26,6 +27,7 @@ Open = Callable[..., SimulatedCameras]
 def state_of(simulation: Simulation, stamp_ns: int) -> SceneState:
     cubes = simulation.cubes()
     return SceneState(
+        engine=simulation.engine,
         seed=simulation.seed,
         cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
         joints=simulation.joint_positions(),
@@ -55,10 +57,10 @@ def opened(topics: MemoryTopics) -> Iterator[Open]:
         source.close()
 
 
-def test_twin_draws_the_same_pixels_as_the_physics(topics: MemoryTopics, opened: Open) -> None:
+def test_twin_draws_the_same_pixels_as_the_physics(engine: Engine, topics: MemoryTopics, opened: Open) -> None:
     source = opened(rate_hz=60)
     for seed in (0, 1):  # the second is a driver that was started again with another scene
-        with Simulation(seed) as simulation:
+        with Simulation(seed, engine=engine) as simulation:
             simulation.set_target(["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3)
             simulation.step(120)
             topics.deliver(TOPIC, to_message(state_of(simulation, 1000 + seed)))

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.driver import SimulatedDriver
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.pace import Pace
@@ -35,14 +36,14 @@ def topics() -> MemoryTopics:
 
 
 @pytest.fixture
-def driver(topics: MemoryTopics) -> Iterator[SimulatedDriver]:
-    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), profile(), topics)
+def driver(engine: Engine, topics: MemoryTopics) -> Iterator[SimulatedDriver]:
+    driver = SimulatedDriver(SimulatedDriverOptions(seed=5, engine=engine), profile(), topics)
     driver.open()
     yield driver
     driver.close()
 
 
-def test_state_starts_at_home_with_an_open_gripper(driver: SimulatedDriver) -> None:
+def test_state_starts_at_home_with_an_open_gripper(engine: Engine, driver: SimulatedDriver) -> None:
     state = driver.read()
     assert state.joints.names[:7] == ARM_JOINTS
     np.testing.assert_allclose(state.joints.position[:7], HOME_RAD, atol=1e-3)
@@ -52,6 +53,7 @@ def test_state_starts_at_home_with_an_open_gripper(driver: SimulatedDriver) -> N
     assert set(cubes) == {"red", "green", "blue", "yellow"}
     assert cubes["red"]["lifted_m"] == pytest.approx(0.0, abs=1e-3)
     assert state.detail["seed"] == "5"
+    assert state.detail["engine"] == engine
 
 
 def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: SimulatedDriver) -> None:
@@ -121,13 +123,13 @@ def test_driver_can_be_closed_twice_and_opened_again(topics: MemoryTopics) -> No
 
 @pytest.mark.parametrize("display", [None, ":4711"])
 def test_window_without_a_display_is_refused(
-    topics: MemoryTopics, monkeypatch: pytest.MonkeyPatch, display: str | None
+    engine: Engine, topics: MemoryTopics, monkeypatch: pytest.MonkeyPatch, display: str | None
 ) -> None:
     if display is None:
         monkeypatch.delenv("DISPLAY", raising=False)
     else:
         monkeypatch.setenv("DISPLAY", display)
-    driver = SimulatedDriver(SimulatedDriverOptions(gui=True), profile(), topics)
+    driver = SimulatedDriver(SimulatedDriverOptions(gui=True, engine=engine), profile(), topics)
     with pytest.raises(ConfigurationError, match="gui = false"):
         driver.open()
     driver.close()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, FINGER_JOINT, UPPER_RAD, VELOCITY_RAD_S
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.setpoint import JointSetpoint
@@ -15,8 +16,8 @@ from roboneuron.errors import InvalidInputError, StateError
 
 
 @pytest.fixture
-def simulation() -> Iterator[Simulation]:
-    with Simulation(0, colours=("red",)) as simulation:
+def simulation(engine: Engine) -> Iterator[Simulation]:
+    with Simulation(0, colours=("red",), engine=engine) as simulation:
         yield simulation
 
 
@@ -112,9 +113,9 @@ def test_unknown_camera_is_refused_with_the_choices(simulation: Simulation) -> N
         simulation.render("left")
 
 
-def test_same_calls_give_the_same_motion() -> None:
+def test_same_calls_give_the_same_motion(engine: Engine) -> None:
     def run() -> np.ndarray:
-        with Simulation(2) as simulation:
+        with Simulation(2, engine=engine) as simulation:
             simulation.set_target(["fr3_joint1", FINGER_JOINT], [0.4, 0.0], 0.3)
             simulation.step(200)
             return np.concatenate([simulation.joint_positions(), *(c.position_m for c in simulation.cubes().values())])

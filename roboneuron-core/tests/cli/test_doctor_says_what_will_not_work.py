@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -63,6 +64,15 @@ def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None
     finding = find("emergency-stop", config_in(tmp_path))
     assert finding.verdict is Verdict.WARNING
     assert "the test: a finger" in finding.text
+
+
+def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rn_robot_fr3")
+    config = parse_config('[robot]\nname = "fr3"\ndriver = "simulated"\n')
+    for there, told in ((("mujoco",), "with mujoco"), (("pybullet", "mujoco"), "with pybullet or mujoco")):
+        here: Callable[[str], bool] = there.__contains__
+        monkeypatch.setattr("roboneuron.plugins.availability.is_importable", here)
+        assert f"robot fr3 (simulated {told})" in find("configuration", config).text
 
 
 def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) -> None:

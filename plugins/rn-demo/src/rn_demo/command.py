@@ -14,7 +14,7 @@ class Demo:
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron demo`."""
         parser.add_argument("--instruction", default=DEFAULT_INSTRUCTION, help=f"default: {DEFAULT_INSTRUCTION!r}")
-        parser.add_argument("--seed", type=int, default=None, help="scene to play in; a new one when not given")
+        parser.add_argument("--seed", type=int, help="scene to play in; default: a new one, or that of --config")
         parser.add_argument("--gui", action="store_true", help="show the simulator's window (needs a display)")
         parser.add_argument("--timeout-s", type=float, default=90.0, help="give up after this long (default 90)")
         parser.add_argument("--output", type=Path, default=Path("out/demo"), help="where film and log go")
@@ -31,7 +31,9 @@ class Demo:
 
         from rn_demo.run import DemoOptions, run_demo
 
-        seed = random.SystemRandom().randrange(10_000) if arguments.seed is None else arguments.seed
+        seed = arguments.seed
+        if seed is None and arguments.config is None:
+            seed = random.SystemRandom().randrange(10_000)
         options = DemoOptions(
             instruction=arguments.instruction,
             seed=seed,

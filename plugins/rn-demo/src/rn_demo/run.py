@@ -31,7 +31,7 @@ class DemoOptions:
 
     Attributes:
         instruction: for the policy; also tells which object the simulator must see lifted.
-        seed: of the scene; None for a new one each time.
+        seed: of the scene; None for what the configuration says.
         gui: show the simulator's window.
         timeout_s: give up after this long.
         output: directory for film strip, GIF and server log.
@@ -55,11 +55,15 @@ def write_configuration(options: DemoOptions, directory: Path) -> Path:
         chosen["seed"] = options.seed
     if options.gui:
         chosen["gui"] = True
-    if chosen:
-        name = config.robot.name
-        if name in config.plugins:
-            raise ConfigurationError(f"{options.config} has options for {name!r}; set seed and gui there.")
-        text += f"\n[plugins.{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items())
+    name = config.robot.name
+    if twice := chosen.keys() & config.plugins.get(name, {}).keys():
+        raise ConfigurationError(f"{options.config} has {' and '.join(sorted(twice))} for {name!r} too: leave one out.")
+    header = f"[plugins.{name}]\n"
+    if name not in config.plugins:
+        text += f"\n{header}"
+    if header not in text:
+        raise ConfigurationError(f"{options.config} has options for {name!r} in a form that cannot be added to.")
+    text = text.replace(header, header + "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items()), 1)
     path = directory / "roboneuron.toml"
     path.write_text(text, encoding="utf-8")
     return path

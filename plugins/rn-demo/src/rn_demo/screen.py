@@ -26,7 +26,7 @@ class Screen:
 
     def title(self, instruction: str, seed: int | None) -> None:
         """Say what is going to happen."""
-        scene = "a random scene" if seed is None else f"scene {seed}"
+        scene = "the configured scene" if seed is None else f"scene {seed}"
         self.console.print()
         self.console.print(
             Panel(

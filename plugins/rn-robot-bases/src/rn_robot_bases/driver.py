@@ -71,7 +71,7 @@ class SimulatedBase:
         """Put the base on the floor, at rest, and let time run.
 
         Raises:
-            ConfigurationError: the profile is none of this package.
+            ConfigurationError: the profile is none of this package, or the engine is not installed.
             NotReadyError: the simulation did not start in time.
             StateError: it is open already.
         """
@@ -80,7 +80,9 @@ class SimulatedBase:
             raise StateError(f"The simulated {name} is open already.")
         if name not in PLATFORMS:
             raise ConfigurationError(f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}.")
-        self._simulation = Simulation(PLATFORMS[name], command_timeout_s=self._options.command_timeout_s)
+        self._simulation = Simulation(
+            PLATFORMS[name], command_timeout_s=self._options.command_timeout_s, engine=self._options.engine
+        )
         self._started.clear()
         self._stop.clear()
         self._failure, self._newest = None, None
@@ -99,14 +101,14 @@ class SimulatedBase:
         """Return the newest state: joints are wheels and steering hinges.
 
         `detail` holds "odometry" and "true_pose" (JSON: x_m, y_m, yaw_rad; the second is the simulator's truth, for
-        judging only), "motion" (driving, standing, or stopping and why), "sim_time_s", and "refused" and
+        judging only), "motion" (driving, standing, or stopping and why), "sim_time_s", "engine", and "refused" and
         "refused_count" of velocity commands.
 
         Raises:
             StateError: not open.
             UnsafeError: the simulation failed while running.
         """
-        self._running()
+        simulation = self._running()
         newest = self._newest
         if newest is None:
             raise StateError(f"The simulated {self._profile.name} is not open.")
@@ -122,6 +124,7 @@ class SimulatedBase:
                 "odometry": _described(state.odometry),
                 "true_pose": _described(state.true_pose),
                 "motion": state.motion,
+                "engine": simulation.engine,
                 "sim_time_s": f"{state.time_s:.3f}",
                 "refused": self._refusal,
                 "refused_count": str(self._refusals),

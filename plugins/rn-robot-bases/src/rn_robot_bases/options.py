@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from rn_robot_bases.engine import EngineChoice
+
 
 class SimulatedBaseOptions(BaseModel):
     """Options of the driver `simulated`."""
@@ -14,3 +16,6 @@ class SimulatedBaseOptions(BaseModel):
         default=0.5, ge=0.05, le=5.0, description="The base brakes when no velocity command came for this long [s]."
     )
     odometry_rate_hz: float = Field(default=50.0, ge=1.0, le=120.0, description="How often odometry is published.")
+    engine: EngineChoice = Field(
+        default="auto", description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo."
+    )

@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from rn_robot_bases.engine import EngineChoice, choose_engine
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
-from rn_robot_bases.world import load_body
 from roboneuron.errors import InvalidInputError
 
 F64 = NDArray[np.float64]
@@ -24,11 +23,16 @@ _SMOOTHING = 2
 _TILT_RAD = math.radians(35.0)
 _VIEW_RAD = math.radians(30.0)
 _MARGIN_M = 0.6
-_CLEARED_DEPTH = 0.99999
 
 
 def draw_track(
-    platform: Platform, poses: Sequence[PlanarPose], *, copies: int = 7, width: int = 640, height: int = 400
+    platform: Platform,
+    poses: Sequence[PlanarPose],
+    *,
+    copies: int = 7,
+    width: int = 640,
+    height: int = 400,
+    engine: EngineChoice = "auto",
 ) -> NDArray[np.uint8]:
     """Draw `poses` as a line on a floor with a grid of 1 m, and the platform at `copies` places along it.
 
@@ -37,6 +41,7 @@ def draw_track(
 
     Raises:
         InvalidInputError: there is no pose.
+        ConfigurationError: the engine is not installed.
     """
     if not poses:
         raise InvalidInputError("A track without poses cannot be drawn.")
@@ -49,7 +54,11 @@ def draw_track(
         pencil.line(_pixels(line, view, projection, size), fill=_GRID_RGB, width=_SMOOTHING)
     if len(points) > 1:
         pencil.line(_pixels(points, view, projection, size), fill=_TRACK_RGB, width=2 * _SMOOTHING, joint="curve")
-    robots, is_robot = _robots(platform, _spaced(poses, points, copies), view, projection, size)
+    if choose_engine(engine) == "mujoco":
+        from rn_robot_bases.mujoco_picture import draw_robots  # heavy, and perhaps not installed
+    else:
+        from rn_robot_bases.pybullet_picture import draw_robots  # likewise
+    robots, is_robot = draw_robots(platform, _spaced(poses, points, copies), view, projection, size)
     image = np.where(is_robot[:, :, None], robots, np.asarray(canvas))
     small = Image.fromarray(image.astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
     return np.array(small, dtype=np.uint8)
@@ -95,35 +104,3 @@ def _spaced(poses: Sequence[PlanarPose], points: F64, copies: int) -> list[Plana
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     wanted = np.linspace(0.0, travelled[-1], copies + 1)[1:]
     return [poses[min(int(i), len(poses) - 1)] for i in np.searchsorted(travelled, wanted)]
-
-
-def _robots(
-    platform: Platform, poses: Sequence[PlanarPose], view: F64, projection: F64, size: tuple[int, int]
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
-    client = int(pybullet.connect(pybullet.DIRECT))
-    try:
-        for pose in poses:
-            body = load_body(client, platform)
-            inertial = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3:5]
-            heading = pybullet.getQuaternionFromEuler((0.0, 0.0, pose.yaw_rad))
-            position, rotation = pybullet.multiplyTransforms((pose.x_m, pose.y_m, 0.0), heading, *inertial)
-            pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=client)
-        _, _, pixels, depth, _ = pybullet.getCameraImage(
-            *size,
-            viewMatrix=view.T.ravel().tolist(),
-            projectionMatrix=projection.T.ravel().tolist(),
-            lightDirection=[-0.6, -1.0, 2.0],
-            lightAmbientCoeff=0.6,
-            lightDiffuseCoeff=0.5,
-            lightSpecularCoeff=0.05,
-            shadow=0,
-            flags=pybullet.ER_NO_SEGMENTATION_MASK,
-            renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=client,
-        )
-    finally:
-        pybullet.disconnect(client)
-    rgba = np.asarray(pixels, dtype=np.uint8).reshape(size[1], size[0], 4)
-    is_robot = np.asarray(depth, dtype=np.float64).reshape(size[1], size[0]) < _CLEARED_DEPTH
-    return rgba[:, :, :3], is_robot

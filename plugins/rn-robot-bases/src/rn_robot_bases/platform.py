@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from rn_robot_bases.ackermann import AckermannDrivetrain, AckermannGeometry
 from rn_robot_bases.differential import DifferentialDrivetrain, DifferentialGeometry
 from rn_robot_bases.drivetrain import Drivetrain
+from rn_robot_bases.engine import Engine
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,6 +41,7 @@ class Platform:
         free_wheels: joints that turn without a motor.
         wheel_torque_nm: of each driven wheel.
         is_body_frictionless: the body slides on casters of its own.
+        friction: sliding friction between a wheel and the floor.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Platform:
     free_wheels: tuple[str, ...] = ()
     wheel_torque_nm: float
     is_body_frictionless: bool = False
+    friction: float = 1.0
 
     def drivetrain(self) -> Drivetrain:
         """A new motion controller, at rest."""
@@ -95,32 +98,37 @@ DIFFDRIVE = Platform(
     wheel_torque_nm=5.0,
     is_body_frictionless=True,
 )
-"""Our own description (data/diffdrive.urdf); the base frame lies on the ground between the wheels."""
+"""The base frame lies on the ground between the wheels."""
 
+_HUSKY_GEOMETRY = DifferentialGeometry(
+    left=("front_left_wheel", "rear_left_wheel"),
+    right=("front_right_wheel", "rear_right_wheel"),
+    wheel_radius_m=0.17775,
+    track_m=0.809,
+    turning_centre_x_m=-0.157,
+    acceleration_m_s2=1.0,
+    angular_acceleration_rad_s2=2.0,
+    braking_m_s2=2.0,
+    angular_braking_rad_s2=4.0,
+)
 HUSKY = Platform(
     name="husky",
     summary="A four-wheeled skid-steered base; it turns on the spot, about a point 0.16 m behind its centre.",
     base_link="base_footprint",
     limits=VelocityLimits(backward_m_s=-1.0, forward_m_s=1.0, turning_rad_s=1.2),
-    geometry=DifferentialGeometry(
-        left=("front_left_wheel", "rear_left_wheel"),
-        right=("front_right_wheel", "rear_right_wheel"),
-        wheel_radius_m=0.17775,
-        track_m=0.809,
-        turning_centre_x_m=-0.157,
-        acceleration_m_s2=1.0,
-        angular_acceleration_rad_s2=2.0,
-        braking_m_s2=2.0,
-        angular_braking_rad_s2=4.0,
-    ),
+    geometry=_HUSKY_GEOMETRY,
     wheel_torque_nm=200.0,
 )
-"""`pybullet_data` husky.urdf with wheels that touch the ground in a point; the base frame lies under its middle.
+"""Its wheels touch the ground in a point each; the base frame lies under its middle.
 
-`track_m` and `turning_centre_x_m` were measured in this world (geometric track 0.571 m) as means over seconds of
+`track_m` and `turning_centre_x_m` were measured in PyBullet (geometric track 0.571 m) as means over seconds of
 turning; the mean turning rate is then right within 3 % for all commands in the limits. Within a turn both wander with
 the heading.
 """
+_HUSKY_IN_MUJOCO = replace(
+    HUSKY, friction=0.5, geometry=replace(_HUSKY_GEOMETRY, track_m=0.96, turning_centre_x_m=-0.17)
+)
+"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the speed as well."""
 
 RACECAR = Platform(
     name="racecar",
@@ -142,7 +150,12 @@ RACECAR = Platform(
     free_wheels=("left_front_wheel_joint", "right_front_wheel_joint"),
     wheel_torque_nm=10.0,
 )
-"""`pybullet_data` racecar.urdf, its wheels mended likewise; the base frame lies on the ground under the rear axle."""
+"""The base frame lies on the ground under the rear axle."""
 
 PLATFORMS: Mapping[str, Platform] = MappingProxyType({p.name: p for p in (DIFFDRIVE, HUSKY, RACECAR)})
 """Platform by robot name."""
+
+
+def in_engine(platform: Platform, engine: Engine) -> Platform:
+    """The platform as `engine` simulates it: how a skid-steered base slips differs."""
+    return _HUSKY_IN_MUJOCO if platform is HUSKY and engine == "mujoco" else platform

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rn_robot_bases.engine import REQUIREMENT
 from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import DriverSpec, Requirement, RobotSpec
-
-_PYBULLET = Requirement(module="pybullet", install="pip install pybullet")
+from roboneuron.plugins.specs import DriverSpec, RobotSpec
 
 
 def _base(name: str, summary: str) -> RobotSpec:
@@ -20,10 +19,10 @@ def _base(name: str, summary: str) -> RobotSpec:
         drivers=(
             DriverSpec(
                 name="simulated",
-                summary="PyBullet simulation on a flat floor, with wheel odometry",
+                summary="PyBullet or MuJoCo simulation on a flat floor, with wheel odometry",
                 target="rn_robot_bases.driver:SimulatedBase",
                 config="rn_robot_bases.options:SimulatedBaseOptions",
-                requires=(_PYBULLET,),
+                requires=(REQUIREMENT,),
             ),
         ),
     )

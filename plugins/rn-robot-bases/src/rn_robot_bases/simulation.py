@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from rn_robot_bases.drivetrain import BaseVelocity, JointValues
+from rn_robot_bases.engine import EngineChoice, choose_engine
 from rn_robot_bases.odometry import PlanarPose, integrate
-from rn_robot_bases.platform import Platform
+from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
-from rn_robot_bases.world import World
+from rn_robot_bases.world import World, build_world
 from roboneuron.errors import StateError
 
 STEP_S = 1.0 / 240.0
@@ -45,12 +46,18 @@ class BaseState:
 class Simulation:
     """One base on a flat floor with its motion controller, its deadman and its odometry; used from one thread.
 
-    Use it as a context manager, or call `open` and `close`. The same calls give the same motion.
+    Use it as a context manager, or call `open` and `close`. The same calls give the same motion in the
+    same engine.
     """
 
-    def __init__(self, platform: Platform, *, command_timeout_s: float = 0.5) -> None:
-        """Choose the platform; `command_timeout_s` of simulated time after the last command it brakes."""
-        self.platform = platform
+    def __init__(self, platform: Platform, *, command_timeout_s: float = 0.5, engine: EngineChoice = "auto") -> None:
+        """Choose platform and engine; `command_timeout_s` of simulated time after the last command it brakes.
+
+        Raises:
+            ConfigurationError: the engine is not installed.
+        """
+        self.engine = choose_engine(engine)
+        self.platform = in_engine(platform, self.engine)
         self._timeout_s = command_timeout_s
         self._world: World | None = None
         self._reset()
@@ -79,7 +86,7 @@ class Simulation:
         if self._world is not None:
             raise StateError(f"The simulated {self.platform.name} is open already.")
         self._reset()
-        self._world = World(self.platform, STEP_S)
+        self._world = build_world(self.engine, self.platform, STEP_S)
         for _ in range(_SETTLING_STEPS):
             self._world.step(self._drivetrain.advance(STEP_S))
         self._positions = self._world.joint_positions()

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
+from rn_robot_fr3.engine import choose_engine
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import HOME_RAD, profile
@@ -22,6 +23,7 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     poses = [(c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2)) for c in cubes]
     return to_message(
         SceneState(
+            engine=choose_engine("auto"),
             seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
             joints=np.array([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M]),

@@ -37,7 +37,9 @@ class SimulatedDriver:
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
-        self._simulation = Simulation(self._options.seed, colours=self._options.colours, gui=self._options.gui)
+        self._simulation = Simulation(
+            self._options.seed, colours=self._options.colours, engine=self._options.engine, gui=self._options.gui
+        )
         self._stepping = threading.Lock()
         self._thread: threading.Thread | None = None
         self._started = threading.Event()
@@ -76,7 +78,7 @@ class SimulatedDriver:
         """Return the newest state, measured 120 times per second; see `RobotState.detail` for the cubes.
 
         `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the simulator's truth),
-        "sim_time_s", "real_time_factor" (achieved during the last second) and "seed".
+        "sim_time_s", "real_time_factor" (achieved during the last second), "seed" and "engine".
 
         Raises:
             StateError: not open.
@@ -167,6 +169,7 @@ class SimulatedDriver:
         if cubes is not None and self._publish is not None:
             poses = [np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()]
             state = SceneState(
+                engine=simulation.engine,
                 seed=simulation.seed,
                 cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
                 joints=position,
@@ -187,6 +190,7 @@ class SimulatedDriver:
                 "sim_time_s": f"{simulation.time_s:.3f}",
                 "real_time_factor": f"{factor:.3f}",
                 "seed": str(simulation.seed),
+                "engine": simulation.engine,
             }
         self._state = RobotState(
             joints=JointSample(names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns),

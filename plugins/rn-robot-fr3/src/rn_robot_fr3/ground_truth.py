@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.scene import Cube
+from rn_robot_fr3.world import RawPose
 
 F64 = NDArray[np.float64]
-RawPose = tuple[tuple[float, ...], tuple[float, ...]]
 
 LIFTED_M = 0.10
 """A cube counts as lifted when its centre is at least this much above where it rests on the table."""

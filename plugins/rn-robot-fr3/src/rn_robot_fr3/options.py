@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from rn_robot_fr3.engine import EngineChoice
 from rn_robot_fr3.scene import DEFAULT_COLOURS, check_colours
 from roboneuron.errors import ConfigurationError
 
@@ -17,7 +18,10 @@ class SimulatedDriverOptions(BaseModel):
     colours: tuple[str, ...] = Field(
         default=DEFAULT_COLOURS, description="One cube each: red, green, blue, yellow, orange, purple."
     )
-    gui: bool = Field(default=False, description="Show PyBullet's window; needs a display.")
+    engine: EngineChoice = Field(
+        default="auto", description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo."
+    )
+    gui: bool = Field(default=False, description="Show PyBullet's window; needs a display. MuJoCo shows none.")
     real_time_factor: float = Field(
         default=1.0, gt=0.0, le=10.0, description="Simulated seconds per second of wall time."
     )

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rn_robot_fr3.engine import REQUIREMENT
 from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec
-
-_PYBULLET = Requirement(module="pybullet", install="pip install pybullet")
+from roboneuron.plugins.specs import CameraSpec, DriverSpec, PerceptionSpec, RobotSpec
 
 
 @hookimpl
@@ -25,10 +24,10 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             drivers=(
                 DriverSpec(
                     name="simulated",
-                    summary="PyBullet simulation: a table with coloured cubes in random places",
+                    summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
                     target="rn_robot_fr3.driver:SimulatedDriver",
                     config="rn_robot_fr3.options:SimulatedDriverOptions",
-                    requires=(_PYBULLET,),
+                    requires=(REQUIREMENT,),
                 ),
             ),
         )
@@ -45,7 +44,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             target="rn_robot_fr3.camera_source:SimulatedCameras",
             config="rn_robot_fr3.options:SimulatedCamerasOptions",
             case="rn_robot_fr3.contract_cases:cameras_case",
-            requires=(_PYBULLET,),
+            requires=(REQUIREMENT,),
             robots=("fr3",),
             drivers=("simulated",),
         )

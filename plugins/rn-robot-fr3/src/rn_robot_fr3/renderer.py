@@ -6,6 +6,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
 from roboneuron.contract import CameraCalibration
 
 F64 = NDArray[np.float64]
@@ -15,16 +16,6 @@ FAR_M = 8.0
 
 
 _CLEARED_DEPTH = 0.99999
-_BACKDROP_TOP_RGB = (196, 205, 216)
-_BACKDROP_BOTTOM_RGB = (122, 130, 142)
-
-
-def _backdrop(height: int) -> NDArray[np.uint8]:
-    """Colour of the empty background by row, (height, 1, 3): a floor to fill it would cost 10 ms per image."""
-    blend = np.linspace(0.0, 1.0, height)[:, None, None]
-    rows = (1.0 - blend) * np.array(_BACKDROP_TOP_RGB) + blend * np.array(_BACKDROP_BOTTOM_RGB)
-    colours: NDArray[np.uint8] = rows.astype(np.uint8)
-    return colours
 
 
 def _view(T_base_camera: F64) -> list[float]:
@@ -65,10 +56,10 @@ def render(
         height,
         viewMatrix=_view(T_base_mount @ calibration.T_mount_camera),
         projectionMatrix=_projection(calibration.intrinsics, width, height),
-        lightDirection=[1.2, 0.8, 2.5],
+        lightDirection=LIGHT_DIRECTION,
         lightColor=[1.0, 1.0, 1.0],
-        lightAmbientCoeff=0.55,
-        lightDiffuseCoeff=0.45,
+        lightAmbientCoeff=AMBIENT,
+        lightDiffuseCoeff=DIFFUSE,
         lightSpecularCoeff=0.08,
         shadow=0,
         flags=pybullet.ER_NO_SEGMENTATION_MASK,
@@ -78,5 +69,5 @@ def render(
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
     image = np.ascontiguousarray(rgba[:, :, :3])
     empty = np.asarray(depth, dtype=np.float32).reshape(height, width) >= _CLEARED_DEPTH
-    np.copyto(image, _backdrop(height), where=empty[:, :, None])
+    np.copyto(image, backdrop(height), where=empty[:, :, None])
     return image

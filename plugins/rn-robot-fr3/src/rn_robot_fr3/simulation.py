@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from types import TracebackType
 
 import numpy as np
-import pybullet
 from numpy.typing import ArrayLike, NDArray
 
 from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cameras
+from rn_robot_fr3.engine import EngineChoice, choose_engine
 from rn_robot_fr3.ground_truth import CubeState, LiftClock
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
@@ -25,7 +25,7 @@ from rn_robot_fr3.limits import (
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.setpoint import JointSetpoint
-from rn_robot_fr3.world import JOINTS, World
+from rn_robot_fr3.world import JOINTS, World, build_world
 from roboneuron.contract import JointCommand, Pose
 from roboneuron.contract.rotation import quaternion_from_matrix
 from roboneuron.errors import InvalidInputError, StateError
@@ -47,12 +47,24 @@ class Simulation:
     """A simulated FR3 before a table with coloured cubes; used from one thread.
 
     Use it as a context manager, or call `open` and `close`. The scene depends on `seed` and `colours` only, and the
-    same calls give the same motion.
+    same calls give the same motion in the same engine.
     """
 
-    def __init__(self, seed: int = 0, *, colours: Sequence[str] = DEFAULT_COLOURS, gui: bool = False) -> None:
-        """Choose the scene. Raises ConfigurationError for unknown colours or too many cubes."""
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        colours: Sequence[str] = DEFAULT_COLOURS,
+        engine: EngineChoice = "auto",
+        gui: bool = False,
+    ) -> None:
+        """Choose scene and engine.
+
+        Raises:
+            ConfigurationError: unknown colours, too many cubes, or the engine is not installed.
+        """
         self.seed = seed
+        self.engine = choose_engine(engine)
         self.scene = random_cubes(seed, colours)
         self._gui = gui
         self._cameras = {camera.name: camera for camera in cameras()}
@@ -89,9 +101,9 @@ class Simulation:
         if self._world is not None:
             raise StateError("The simulation is open already.")
         self._reset_clock()
-        self._world = World(self.scene, gui=self._gui)
+        self._world = build_world(self.engine, self.scene, gui=self._gui)
         self._world.set_joints([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M])
-        self._world.prepare_physics(STEP_S)
+        self._world.prepare_physics(STEP_S, [*EFFORT_NM, _FINGER_FORCE_N, _FINGER_FORCE_N])
 
     def close(self) -> None:
         """Destroy the world; may be called twice and before `open`."""
@@ -114,15 +126,13 @@ class Simulation:
     def step(self, count: int = 1) -> None:
         """Advance by `count` physics steps of `STEP_S`."""
         world = self.world
-        forces = [*EFFORT_NM, _FINGER_FORCE_N, _FINGER_FORCE_N]
         for _ in range(count):
             self._setpoint.advance(STEP_S)
             position, velocity = self._setpoint.position, self._setpoint.velocity
-            world.drive([*position, position[-1]], [*velocity, velocity[-1]], forces)
-            pybullet.stepSimulation(physicsClientId=world.client)
+            world.step([*position, position[-1]], [*velocity, velocity[-1]])
             self.steps += 1
             if self.steps % _JUDGE_EVERY == 0:
-                self._lifts.observe(self.time_s, {name: world.body_pose(b) for name, b in world.cube_bodies.items()})
+                self._lifts.observe(self.time_s, world.cube_poses())
 
     def set_target(self, names: Sequence[str], position: ArrayLike, duration_s: float) -> JointCommand:
         """Send joints to `position` [rad, m] within `duration_s`; unnamed joints keep their target.
@@ -173,8 +183,7 @@ class Simulation:
 
     def cubes(self) -> dict[str, CubeState]:
         """Where each cube is, by name: ground truth, for judging and tests only, never for a policy."""
-        world = self.world
-        return self._lifts.states({name: world.body_pose(b) for name, b in world.cube_bodies.items()})
+        return self._lifts.states(self.world.cube_poses())
 
     def render(
         self, camera: str, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]

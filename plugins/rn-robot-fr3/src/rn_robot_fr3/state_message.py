@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from rn_robot_fr3.engine import ENGINES, Engine
 from rn_robot_fr3.scene import RGBA_BY_COLOUR
 from rn_robot_fr3.world import JOINTS
 from roboneuron.errors import InvalidInputError
@@ -29,6 +30,7 @@ class SceneState:
     """The simulated cell at one moment.
 
     Attributes:
+        engine: that moves it, and is to draw it.
         seed: of the scene.
         cubes: name and edge [m] of each cube.
         joints: float64 (9,), in the order of `world.JOINTS` [rad, m].
@@ -36,6 +38,7 @@ class SceneState:
         stamp_ns: ROS time of this moment [ns].
     """
 
+    engine: Engine
     seed: int
     cubes: tuple[tuple[str, float], ...]
     joints: F64
@@ -48,7 +51,7 @@ def to_message(state: SceneState) -> Float64MultiArray:
     message = Float64MultiArray()
     values = [*divmod(state.stamp_ns, _NANOSECONDS), *state.joints, *state.cube_poses.ravel()]
     message.data = [float(value) for value in values]
-    label = json.dumps({"seed": state.seed, "cubes": state.cubes}, separators=(",", ":"))
+    label = json.dumps({"engine": state.engine, "seed": state.seed, "cubes": state.cubes}, separators=(",", ":"))
     message.layout.dim = [MultiArrayDimension(label=label, size=len(values), stride=len(values))]
     return message
 
@@ -61,6 +64,7 @@ def from_message(message: Float64MultiArray) -> SceneState:
     """
     try:
         described = json.loads(message.layout.dim[0].label)
+        engine = ENGINES[ENGINES.index(described["engine"])]
         seed = int(described["seed"])
         cubes = tuple((str(name), float(edge_m)) for name, edge_m in described["cubes"])
     except (IndexError, KeyError, TypeError, ValueError) as error:
@@ -73,6 +77,7 @@ def from_message(message: Float64MultiArray) -> SceneState:
     if values.shape != (expected,) or not np.isfinite(values).all():
         raise InvalidInputError(f"A message on {TOPIC!r} holds {values.size} values, expected {expected} finite ones.")
     return SceneState(
+        engine=engine,
         seed=seed,
         cubes=cubes,
         joints=values[2 : 2 + len(JOINTS)],

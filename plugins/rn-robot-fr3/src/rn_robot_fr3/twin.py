@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import SceneState
-from rn_robot_fr3.world import World
+from rn_robot_fr3.world import World, build_world
 from roboneuron.contract import CameraCalibration
 from roboneuron.errors import StateError
 
@@ -18,19 +18,19 @@ class RenderTwin:
     def __init__(self) -> None:
         """Does nothing yet; the world is built from the first state."""
         self._world: World | None = None
-        self._scene: tuple[int, tuple[tuple[str, float], ...]] | None = None
+        self._scene: tuple[object, ...] | None = None
 
     def show(self, state: SceneState) -> None:
-        """Put everything where `state` says; builds another world when the scene is another one (about 50 ms)."""
-        scene = (state.seed, state.cubes)
+        """Put everything where `state` says; builds another world when scene or engine is another one (about 50 ms)."""
+        scene = (state.engine, state.seed, state.cubes)
         if self._world is None or scene != self._scene:
             self.close()
             cubes = [Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0) for name, edge_m in state.cubes]
-            self._world = World(cubes)
+            self._world = build_world(state.engine, cubes)
             self._scene = scene
         self._world.set_joints(state.joints.tolist())
-        for (name, _), pose in zip(state.cubes, state.cube_poses.tolist(), strict=True):
-            self._world.set_body_pose(self._world.cube_bodies[name], pose[:3], pose[3:])
+        poses = zip(state.cubes, state.cube_poses.tolist(), strict=True)
+        self._world.set_cubes({name: (pose[:3], pose[3:]) for (name, _), pose in poses})
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """What a camera sees of the state last shown: uint8 (height, width, 3) RGB. Raises StateError before it."""

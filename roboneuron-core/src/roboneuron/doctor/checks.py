@@ -19,9 +19,11 @@ from roboneuron.doctor.images import measure_image_transport
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
+from roboneuron.plugins.availability import present
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.packages import START, install_command
 from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment, state_directory
 
 MIN_SHARED_MEMORY_MIB = 256
@@ -174,12 +176,20 @@ def _plugins(config: Config) -> Finding:
 def _configuration(config: Config) -> Finding:
     from roboneuron.server.selection import check_configuration  # pydantic and plugins' options, not mcp
 
-    check_configuration(config, discover(config.disabled_plugins))
-    names = [f"robot {config.robot.name} ({config.robot.driver})"]
+    registry = discover(config.disabled_plugins)
+    check_configuration(config, registry)
+    names = [f"robot {config.robot.name} ({config.robot.driver}{_chosen(config, registry)})"]
     names += [f"perception {config.perception.source}"] if config.perception else []
     names += [f"control {config.control.controller}"] if config.control else []
     names += [f"inference {config.inference.backend}"] if config.inference else []
     return ok(f"What it names is installed and fits together: {', '.join(names)}.")
+
+
+def _chosen(config: Config, registry: Registry) -> str:
+    """Which of the modules the robot's driver can choose from are installed; it takes the first unless told."""
+    driver = registry.get("robot", config.robot.name).driver(config.robot.driver)
+    choices = [present(requirement) for requirement in driver.requires if requirement.alternatives] if driver else []
+    return "".join(f" with {' or '.join(modules)}" for modules in choices)
 
 
 def _gpu(_: Config) -> Finding:

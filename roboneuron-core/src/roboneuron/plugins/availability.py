@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable
 from importlib.util import find_spec
 
+from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import Requirement
 
 
@@ -19,14 +20,35 @@ def is_importable(module: str) -> bool:
         return False
 
 
+def present(requirement: Requirement) -> tuple[str, ...]:
+    """Which of its module and alternatives can be found, in their order."""
+    return tuple(module for module in (requirement.module, *requirement.alternatives) if is_importable(module))
+
+
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
-    """Those of `requirements` whose module cannot be found, in their order."""
-    return tuple(r for r in requirements if not is_importable(r.module))
+    """Those of `requirements` for which neither the module nor an alternative can be found, in their order."""
+    return tuple(r for r in requirements if not present(r))
+
+
+def choose(requirement: Requirement, choice: str = "auto") -> str:
+    """The module to use: `choice`, or for "auto" the first of module and alternatives that is there.
+
+    Raises:
+        ConfigurationError: it is not there.
+    """
+    found = present(requirement)
+    if choice == "auto" and found:
+        return found[0]
+    if choice in found:
+        return choice
+    wanted = requirement if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
+    hint = f"Or leave the choice to 'auto': {' and '.join(found)} is installed." if found else ""
+    raise ConfigurationError(f"{explain([wanted])}.", hint=hint)
 
 
 def explain(absent: Iterable[Requirement]) -> str:
     """One sentence that names the absent modules and the commands that provide them."""
     parts = tuple(absent)
-    modules = ", ".join(f"'{r.module}'" for r in parts)
+    modules = ", ".join(" or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts)
     commands = "; ".join(dict.fromkeys(r.install for r in parts))
     return f"Needs {modules}, not installed; run: {commands}"

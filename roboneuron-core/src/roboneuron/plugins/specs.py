@@ -21,10 +21,12 @@ class Requirement:
     Attributes:
         module: top-level import name, looked up without importing it.
         install: the command that provides it, shown to the user.
+        alternatives: modules of which each will do instead of `module`.
     """
 
     module: str
     install: str
+    alternatives: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,7 +16,7 @@ from roboneuron.testing.rule import Violation
 
 T = TypeVar("T")
 
-HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "pinocchio")
+HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujoco", "pinocchio")
 """Modules whose import takes so long that it belongs into `load` or `open`."""
 PURE_CPU_S = 0.5
 """Processor time a constructor may take; generous, since what it must not do takes seconds."""

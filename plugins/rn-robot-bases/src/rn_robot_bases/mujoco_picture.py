@@ -1,0 +1,53 @@
+"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer needs OpenGL."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_bases.mujoco_world import VISUAL_GROUP, read_platform
+from rn_robot_bases.odometry import PlanarPose
+from rn_robot_bases.platform import Platform
+
+F64 = NDArray[np.float64]
+
+_AMBIENT, _DIFFUSE = 0.6, 0.5
+_LIGHT_DIRECTION = np.array([-0.6, -1.0, 2.0])
+_FAR_M = 1000.0
+_DRAWN = np.array([group == VISUAL_GROUP for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
+
+
+def draw_robots(
+    platform: Platform, poses: Sequence[PlanarPose], view: F64, projection: F64, size: tuple[int, int]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
+    scene = mujoco.MjSpec()
+    for index, pose in enumerate(poses):
+        turn = (math.cos(pose.yaw_rad / 2), 0.0, 0.0, math.sin(pose.yaw_rad / 2))
+        place = scene.worldbody.add_frame(pos=(pose.x_m, pose.y_m, 0.0), quat=turn)
+        scene.attach(read_platform(platform), frame=place, prefix=f"{index}/")
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    origin, rays = _rays(view, projection, size)
+    count = len(rays)
+    geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
+    mujoco.mj_multiRay(model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, _FAR_M)
+    light = _LIGHT_DIRECTION / np.linalg.norm(_LIGHT_DIRECTION)
+    brightness = _AMBIENT + _DIFFUSE * np.maximum(normals.reshape(-1, 3) @ light, 0.0)
+    colours = np.minimum(255.0 * model.geom_rgba[geoms, :3] * brightness[:, None], 255.0).astype(np.uint8)
+    return colours.reshape(size[1], size[0], 3), (geoms >= 0).reshape(size[1], size[0])
+
+
+def _rays(view: F64, projection: F64, size: tuple[int, int]) -> tuple[F64, F64]:
+    """Where the camera is, and a direction (H * W, 3) of unit length for each pixel, row by row."""
+    width, height = size
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width * 2.0 - 1.0, 1.0 - (np.arange(height) + 0.5) / height * 2.0)
+    seen = np.column_stack([x.ravel() / projection[0, 0], y.ravel() / projection[1, 1], -np.ones(width * height)])
+    rays = seen @ view[:3, :3]
+    directions: F64 = rays / np.linalg.norm(rays, axis=1)[:, None]
+    return -view[:3, :3].T @ view[:3, 3], directions

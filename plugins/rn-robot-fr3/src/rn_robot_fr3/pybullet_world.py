@@ -1,0 +1,197 @@
+"""The world in PyBullet."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pybullet
+import pybullet_data
+from numpy.typing import NDArray
+
+from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
+from rn_robot_fr3.display import check_display
+from rn_robot_fr3.engine import Engine
+from rn_robot_fr3.renderer import render
+from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
+from rn_robot_fr3.world import (
+    CUBE_FRICTION,
+    FINGER_FRICTION,
+    JOINTS,
+    TABLE_CENTRE_M,
+    TABLE_FRICTION,
+    TABLE_RGBA,
+    TABLE_SIZE_M,
+    WOOD_KG_M3,
+    RawPose,
+)
+from roboneuron.contract import CameraCalibration
+from roboneuron.contract.rotation import matrix_from_quaternion
+from roboneuron.errors import ConfigurationError
+
+F64 = NDArray[np.float64]
+
+_POSITION_GAINS = [0.3] * 9
+_VELOCITY_GAINS = [1.0] * 9
+
+
+def _gui_client() -> int:
+    check_display()
+    client = int(pybullet.connect(pybullet.GUI))
+    if client < 0:
+        raise ConfigurationError("PyBullet could not open a window on the display.", hint="Set gui = false.")
+    pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
+    pybullet.resetDebugVisualizerCamera(1.3, 60, -32, [0.4, 0.0, 0.1], physicsClientId=client)
+    return client
+
+
+class PybulletWorld:
+    """One PyBullet client; follows the protocol `World`.
+
+    Attributes:
+        client: PyBullet's id of the physics client.
+        robot: body id of the robot.
+        joint_indices: PyBullet joint indices in the order of `JOINTS`.
+        cube_bodies: body id by cube name.
+    """
+
+    engine: Engine = "pybullet"
+
+    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False) -> None:
+        """Connect and build. Raises ConfigurationError when a window is asked for and there is no display."""
+        self.client = _gui_client() if gui else int(pybullet.connect(pybullet.DIRECT))
+        self._connected = True
+        self._force: list[float] = []
+        self._add_table()
+        self.robot = self._add_robot()
+        infos = [
+            pybullet.getJointInfo(self.robot, index, physicsClientId=self.client)
+            for index in range(pybullet.getNumJoints(self.robot, physicsClientId=self.client))
+        ]
+        index_by_joint = {info[1].decode(): info[0] for info in infos}
+        self.joint_indices = [index_by_joint[name] for name in JOINTS]
+        self._tcp_index = next(info[0] for info in infos if info[12].decode() == TCP_LINK)
+        self.cube_bodies = {cube.name: self._add_cube(cube) for cube in cubes}
+
+    def _box(
+        self, size_m: Sequence[float], centre_m: Sequence[float], rgba: Sequence[float], mass_kg: float = 0
+    ) -> int:
+        half = [side / 2 for side in size_m]
+        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, physicsClientId=self.client
+        )
+        return int(pybullet.createMultiBody(mass_kg, shape, visual, centre_m, physicsClientId=self.client))
+
+    def _add_table(self) -> None:
+        table = self._box(TABLE_SIZE_M, TABLE_CENTRE_M, TABLE_RGBA)
+        pybullet.changeDynamics(table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=self.client)
+
+    def _add_robot(self) -> int:
+        """PyBullet reads descriptions from files only: write the one with meshes to a temporary folder."""
+        meshes = Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision"
+        with tempfile.TemporaryDirectory(prefix="rn-fr3-") as folder:
+            path = Path(folder) / "fr3.urdf"
+            path.write_text(urdf_with_meshes(str(meshes)), encoding="utf-8")
+            flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+            body = pybullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=self.client)
+        return int(body)
+
+    def _add_cube(self, cube: Cube) -> int:
+        mass_kg = WOOD_KG_M3 * cube.edge_m**3
+        body = self._box((cube.edge_m,) * 3, (cube.x_m, cube.y_m, cube.edge_m / 2), RGBA_BY_COLOUR[cube.name], mass_kg)
+        rotation = pybullet.getQuaternionFromEuler((0.0, 0.0, cube.yaw_rad))
+        position = (cube.x_m, cube.y_m, cube.edge_m / 2)
+        pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self.client)
+        return body
+
+    def set_cubes(self, poses: Mapping[str, RawPose]) -> None:
+        """See `World`."""
+        for name, (position, rotation) in poses.items():
+            body = self.cube_bodies[name]
+            pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self.client)
+
+    def cube_poses(self) -> dict[str, RawPose]:
+        """See `World`."""
+        return {
+            name: pybullet.getBasePositionAndOrientation(body, physicsClientId=self.client)
+            for name, body in self.cube_bodies.items()
+        }
+
+    def set_joints(self, position: Sequence[float]) -> None:
+        """See `World`."""
+        for index, value in zip(self.joint_indices, position, strict=True):
+            pybullet.resetJointState(self.robot, index, float(value), physicsClientId=self.client)
+
+    def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
+        """See `World`."""
+        client = self.client
+        self._force = list(force)
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=step_s,
+            numSolverIterations=60,
+            solverResidualThreshold=1e-5,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        left, right = self.joint_indices[-2:]
+        sliding, spinning, _ = FINGER_FRICTION
+        for index in (left, right):
+            pybullet.changeDynamics(
+                self.robot, index, lateralFriction=sliding, spinningFriction=spinning, physicsClientId=client
+            )
+        gear = pybullet.createConstraint(
+            self.robot, left, self.robot, right, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0],
+            physicsClientId=client,
+        )  # fmt: skip
+        pybullet.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=100, physicsClientId=client)
+        sliding, spinning, rolling = CUBE_FRICTION
+        for body in self.cube_bodies.values():
+            pybullet.changeDynamics(
+                body, -1, lateralFriction=sliding, spinningFriction=spinning, rollingFriction=rolling,
+                physicsClientId=client,
+            )  # fmt: skip
+
+    def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
+        """See `World`."""
+        pybullet.setJointMotorControlArray(
+            self.robot,
+            self.joint_indices,
+            pybullet.POSITION_CONTROL,
+            targetPositions=position,
+            targetVelocities=velocity,
+            forces=self._force,
+            positionGains=_POSITION_GAINS,
+            velocityGains=_VELOCITY_GAINS,
+            physicsClientId=self.client,
+        )
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def joint_states(self) -> tuple[F64, F64]:
+        """See `World`."""
+        states = pybullet.getJointStates(self.robot, self.joint_indices, physicsClientId=self.client)
+        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+
+    def T_base_tcp(self) -> F64:
+        """See `World`."""
+        state = pybullet.getLinkState(
+            self.robot, self._tcp_index, computeForwardKinematics=1, physicsClientId=self.client
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = matrix_from_quaternion(np.array(state[5]))
+        pose[:3, 3] = state[4]
+        return pose
+
+    def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
+        """See `World`."""
+        mount = self.T_base_tcp() if calibration.mount == "tcp" else np.eye(4)
+        return render(self.client, calibration, mount, width, height)
+
+    def close(self) -> None:
+        """Disconnect; may be called twice."""
+        if self._connected:
+            self._connected = False
+            pybullet.disconnect(self.client)

@@ -1,0 +1,13 @@
+"""The physics engines that are installed here: tests of the simulation run in each of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_robot_fr3.engine import ENGINES, Engine
+from roboneuron.plugins.availability import is_importable
+
+
+@pytest.fixture(params=[engine for engine in ENGINES if is_importable(engine)])
+def engine(request: pytest.FixtureRequest) -> Engine:
+    return request.param  # type: ignore[no-any-return]
