@@ -1,13 +1,17 @@
-"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints."""
+"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints.
+
+Arrays are kept as read-only copies.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import freeze
 from roboneuron.contract.observation import CameraCalibration
 
 F64 = NDArray[np.float64]
@@ -34,6 +38,9 @@ class JointLimits:
     effort: F64
     braking_offset: F64 | None = None
     braking_deceleration: F64 | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, *(field.name for field in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -92,6 +99,9 @@ class Workspace:
 
     lower_m: F64
     upper_m: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "lower_m", "upper_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,6 +164,9 @@ class RobotProfile:
     cameras: tuple[CameraProfile, ...] = ()
     workspace: Workspace | None = None
     endpoints: tuple[Endpoint, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "home_rad")
 
     def camera(self, name: str) -> CameraProfile | None:
         """The camera of that name, or None."""
