@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 
-def freeze(value: object, *names: str, dtype: DTypeLike = np.float64) -> None:
-    """Replace the named array fields of a frozen dataclass by read-only copies; fields that are None stay None.
+def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> None:
+    """Replace the named array fields of a frozen dataclass by read-only copies; called from `__post_init__`.
 
-    `dtype` None keeps the array's own. Called from `__post_init__`. An array that is read-only already and owns its memory is kept, so that
-    `dataclasses.replace` copies only what it changes.
+    Fields that are None stay None; with `dtype` None an array keeps its own. An array that is read-only already and
+    owns its memory is not copied again, so that `dataclasses.replace` copies only what it changes.
     """
     for name in names:
         array = getattr(value, name)
@@ -29,7 +29,7 @@ def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
+def _frozen(values: ArrayLike, dtype: DTypeLike | None) -> NDArray[Any]:
     array: NDArray[Any] = np.asarray(values, dtype=dtype)
     if array.flags.owndata and not array.flags.writeable:
         return array
