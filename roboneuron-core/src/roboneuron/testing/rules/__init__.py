@@ -9,6 +9,7 @@ from roboneuron.testing.rules import (
     controller,
     descriptor,
     driver,
+    driver_motion,
     package,
     perception,
     robot,
@@ -21,7 +22,7 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
     "acceleration": (*descriptor.RULES, *acceleration.RULES),
     "perception": (*descriptor.RULES, *perception.RULES),
     "controller": (*descriptor.RULES, *controller.RULES),
-    "robot": (*descriptor.RULES, *robot.RULES, *driver.RULES),
+    "robot": (*descriptor.RULES, *robot.RULES, *driver.RULES, *driver_motion.RULES),
     "package": package.RULES,
 }
 """Rules by kind of descriptor, and those of packages."""
