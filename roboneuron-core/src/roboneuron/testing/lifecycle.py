@@ -248,7 +248,9 @@ class Lifecycle(Generic[CaseT, C]):
     def _check_options(self, case: CaseT) -> None:
         def use(build: Callable[[], C]) -> None:
             with self.running(case, build) as subject:
-                self._use(case, subject)
+                for one in self.uses.values():
+                    with suppress(NotApplicable):  # a base is sent no joints
+                        one(case, subject)
 
         check_options_read(case, use)
 

@@ -232,7 +232,7 @@ def _check_waits(case: PerceptionCase) -> None:
 
 
 def _check_no_cameras(case: PerceptionCase) -> None:
-    none = replace(case, cameras=lambda: ())
+    none = replace(case, cameras=lambda: (), is_automatic=False)
     try:
         with _open(none) as (source, _):
             _timed_read(source, SHORT_READ_S)
