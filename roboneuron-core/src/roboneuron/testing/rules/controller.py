@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, Pose, RobotProfile, apply_delta
-from roboneuron.contract.motion import F64
-from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
 from roboneuron.errors import RoboNeuronError, UnsafeError
 from roboneuron.testing.cases import ControllerCase
+from roboneuron.testing.commands import (
+    TRUTH_M,
+    TRUTH_RAD,
+    arm_sample,
+    by_name,
+    check_arrives,
+    check_command,
+    distance,
+    home_sample,
+    make_action,
+    postures,
+)
 from roboneuron.testing.effects import check_quick, expect_refusal
 from roboneuron.testing.kinematics import place_tcp
 from roboneuron.testing.lifecycle import Lifecycle
@@ -22,9 +32,6 @@ STEP_S = 0.1
 """Time the rules give an action."""
 SPEED_M_S, SPEED_RAD_S = 0.1, 0.3
 """Speeds of the TCP that every arm can follow."""
-TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
-"""How far a command may end from what its residual says: the residual is compared, so this only covers rounding and
-solvers that stop early."""
 RESIDUAL_M, RESIDUAL_RAD = 5e-3, 0.05
 """Largest residual of a small step: what ends farther from its target is to be refused."""
 STILL = 1e-3
@@ -33,27 +40,6 @@ MAX_STEP = 0.3
 """Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
 COMPUTE_LIMIT_S = 0.05
 """Bound on the quickest of some `compute`: half of the time between two actions."""
-
-
-def home_sample(profile: RobotProfile) -> JointSample:
-    """The joints of `profile` at home, the gripper's included, open."""
-    if profile.home_rad is None or profile.limits is None:
-        raise Violation("the case's profile has no home posture or no limits")
-    return _sample(profile, profile.home_rad)
-
-
-def _sample(profile: RobotProfile, position: F64) -> JointSample:
-    names = profile.arm_joints
-    if profile.gripper is not None:
-        names, position = (*names, profile.gripper.joint), np.append(position, profile.gripper.open_position)
-    return JointSample(names=names, position=position, velocity=np.zeros(len(names)), stamp_ns=1)
-
-
-def _action(*values: float, opening: float = 1.0) -> Action:
-    padded = np.zeros(7)
-    padded[: len(values)] = values
-    padded[6] = opening
-    return Action.from_vector(padded)
 
 
 def _load(case: ControllerCase, controller: Controller) -> None:
@@ -66,7 +52,7 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
     begin="load",
     start=_load,
     uses={
-        "compute": lambda case, controller: controller.compute(_action(0.001), home_sample(case.robot()), STEP_S),
+        "compute": lambda case, controller: controller.compute(make_action(0.001), home_sample(case.robot()), STEP_S),
         "forward": lambda case, controller: controller.forward(home_sample(case.robot())),
     },
 )
@@ -84,76 +70,10 @@ def _compute(
     return result
 
 
-def _by_name(sample: JointSample | JointCommand) -> dict[str, float]:
-    return dict(zip(sample.names, sample.position.tolist(), strict=True))
-
-
-def _check_command(command: JointCommand, start: JointSample, profile: RobotProfile, step_s: float) -> None:
-    """Names, sizes, finiteness, limits, duration and speed."""
-    known = set(profile.arm_joints) | ({profile.gripper.joint} if profile.gripper else set())
-    foreign = [n for n in command.names if n not in known]
-    require(not foreign, f"a command names joints that the profile lacks: {', '.join(foreign)}")
-    require(len(set(command.names)) == len(command.names), "a command names a joint twice")
-    require(command.position.shape == (len(command.names),), f"a command has positions {command.position.shape}")
-    require(bool(np.isfinite(command.position).all()), "a command holds a position that is not finite")
-    residuals = (command.residual_m, command.residual_rad)
-    require(all(np.isfinite(r) and r >= 0 for r in residuals), f"a command has residuals {residuals}")
-    duration_s = command.duration_s
-    require(duration_s >= 0.999 * step_s, f"a command for a step of {step_s:g} s lasts {duration_s:g} s")
-    limits = profile.limits
-    assert limits is not None
-    sent, measured = _by_name(command), _by_name(start)
-    share = 0.0
-    bounds = zip(profile.arm_joints, *(v.tolist() for v in (limits.lower, limits.upper, limits.velocity)), strict=True)
-    for name, low, high, velocity in bounds:
-        if name not in sent:
-            continue
-        require(
-            low - 1e-9 <= sent[name] <= high + 1e-9,
-            f"{name} is sent to {sent[name]:.4f}, its limits are {low:g} .. {high:g}",
-        )
-        share = max(share, abs(sent[name] - measured[name]) / (velocity * duration_s))
-    require(share <= 1.01, f"a command needs {share:.1f} times the velocity limit of a joint")
-    is_stretched = duration_s > 1.001 * step_s
-    require(not is_stretched or share > 0.1, f"a small step of {step_s:g} s is given {duration_s:g} s")
-
-
-def _distance(a: Pose, b: Pose) -> tuple[float, float]:
-    turn = matrix_from_quaternion(a.quaternion_xyzw).T @ matrix_from_quaternion(b.quaternion_xyzw)
-    return float(np.linalg.norm(a.position_m - b.position_m)), float(np.linalg.norm(rotvec_from_matrix(turn)))
-
-
-def _check_arrives(command: JointCommand, action: Action, joints: JointSample, profile: RobotProfile) -> None:
-    """The command ends where its residual says, by the URDF."""
-    start = _by_name(joints)
-    reached = place_tcp(profile, {**start, **_by_name(command)})
-    error_m, error_rad = _distance(reached, apply_delta(place_tcp(profile, start), action))
-    require(
-        error_m <= command.residual_m + TRUTH_M and error_rad <= command.residual_rad + TRUTH_RAD,
-        f"an action of {action.to_vector()[:6]} ends {error_m:.5f} m and {error_rad:.4f} rad from its target, "
-        f"the command says {command.residual_m:.5f} m and {command.residual_rad:.4f} rad",
-    )
-
-
-def _postures(profile: RobotProfile) -> Iterator[JointSample]:
-    """Home, and home with every joint a little off, well within the limits."""
-    home = home_sample(profile)
-    limits, arm = profile.limits, home.position[: len(profile.arm_joints)]
-    assert limits is not None
-    inner = 0.2 * (limits.upper - limits.lower)
-    signs = np.where(np.arange(len(arm)) % 2, 1.0, -1.0)
-    yield home
-    for turn in (0.15, -0.15):
-        moved = np.clip(
-            arm + turn * signs, limits.lower + np.minimum(inner, 0.1), limits.upper - np.minimum(inner, 0.1)
-        )
-        yield _sample(profile, moved)
-
-
 def _check_forward(case: ControllerCase) -> None:
     profile = case.robot()
     with _loaded(case) as controller:
-        for posture in _postures(profile):
+        for posture in postures(profile):
             pose = controller.forward(replace(posture, stamp_ns=123))
             require(
                 bool(np.isfinite(pose.position_m).all()) and pose.position_m.shape == (3,),
@@ -162,7 +82,7 @@ def _check_forward(case: ControllerCase) -> None:
             norm = float(np.linalg.norm(pose.quaternion_xyzw))
             require(abs(norm - 1) < 1e-6, f"forward returned a quaternion of length {norm:g}, expected 1")
             require(pose.stamp_ns == 123, f"forward stamped the pose {pose.stamp_ns}, the joints are stamped 123")
-            off_m, off_rad = _distance(pose, place_tcp(profile, _by_name(posture)))
+            off_m, off_rad = distance(pose, place_tcp(profile, by_name(posture)))
             require(
                 off_m <= TRUTH_M and off_rad <= TRUTH_RAD,
                 f"forward is {off_m:.4f} m and {off_rad:.4f} rad from where the URDF puts {profile.tcp_link!r} "
@@ -190,16 +110,16 @@ def _check_forward_bad(case: ControllerCase) -> None:
 def _check_small_step(case: ControllerCase) -> None:
     profile = case.robot()
     with _loaded(case) as controller:
-        for joints in _postures(profile):
+        for joints in postures(profile):
             for step_s in (0.05, 0.2):
                 sizes = np.repeat([SPEED_M_S * step_s, SPEED_RAD_S * step_s], 3)
                 for axis in range(6):
-                    action = _action(*(sizes * np.eye(6)[axis]))
+                    action = make_action(*(sizes * np.eye(6)[axis]))
                     command = _compute(controller, action, joints, step_s)
                     if isinstance(command, Hold):
                         raise Violation(f"a step of {action.to_vector()[:6]} was refused: {command.reason}")
-                    _check_command(command, joints, profile, step_s)
-                    _check_arrives(command, action, joints, profile)
+                    check_command(command, joints, profile, step_s)
+                    check_arrives(command, action, joints, profile)
                     far = command.residual_m > RESIDUAL_M or command.residual_rad > RESIDUAL_RAD
                     require(not far, f"a small step leaves {command.residual_m:g} m and {command.residual_rad:g} rad")
 
@@ -207,11 +127,11 @@ def _check_small_step(case: ControllerCase) -> None:
 def _check_still(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     with _loaded(case) as controller:
-        command = _compute(controller, _action(), joints)
+        command = _compute(controller, make_action(), joints)
     if isinstance(command, Hold):
         return
-    measured = _by_name(joints)
-    for name, position in _by_name(command).items():
+    measured = by_name(joints)
+    for name, position in by_name(command).items():
         moved = abs(position - measured[name])
         require(moved <= STILL, f"an action of zero moves {name} by {moved:.4f}")
 
@@ -219,13 +139,13 @@ def _check_still(case: ControllerCase) -> None:
 def _check_bad_numbers(case: ControllerCase) -> None:
     profile = case.robot()
     joints = home_sample(profile)
-    bad = [(name, _action(0.001), sample, STEP_S) for name, sample in _damaged(joints).items()]
+    bad = [(name, make_action(0.001), sample, STEP_S) for name, sample in _damaged(joints).items()]
     for number in (np.nan, np.inf):
         wrong = np.full(3, number)
-        bad.append((f"a translation of {number}", replace(_action(), translation_m=wrong), joints, STEP_S))
-        bad.append((f"a rotation of {number}", replace(_action(), rotation_rad=wrong), joints, STEP_S))
-        bad.append((f"an opening of {number}", replace(_action(), gripper_open=float(number)), joints, STEP_S))
-    bad += [(f"step_s {step_s:g}", _action(0.001), joints, step_s) for step_s in (0.0, -0.1, float("nan"))]
+        bad.append((f"a translation of {number}", replace(make_action(), translation_m=wrong), joints, STEP_S))
+        bad.append((f"a rotation of {number}", replace(make_action(), rotation_rad=wrong), joints, STEP_S))
+        bad.append((f"an opening of {number}", replace(make_action(), gripper_open=float(number)), joints, STEP_S))
+    bad += [(f"step_s {step_s:g}", make_action(0.001), joints, step_s) for step_s in (0.0, -0.1, float("nan"))]
     with _loaded(case) as controller:
         for name, action, sample, step_s in bad:
             try:
@@ -236,23 +156,23 @@ def _check_bad_numbers(case: ControllerCase) -> None:
                 raise Violation(f"compute with {name} raised {type(error).__name__}: {error}") from error
             require(isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold")
         numb = replace(joints, velocity=np.full(len(joints.names), np.nan))
-        result = _compute(controller, _action(0.001), numb)
+        result = _compute(controller, make_action(0.001), numb)
     if isinstance(result, JointCommand):
-        _check_command(result, joints, profile, STEP_S)
+        check_command(result, joints, profile, STEP_S)
 
 
 def _check_far(case: ControllerCase) -> None:
     profile = case.robot()
     with _loaded(case) as controller:
         for values in ((5.0,), (0, 0, -5.0), (0, -2.0), (0, 0, 0, 3.0, 0, 0)):
-            joints, action = home_sample(profile), _action(*values)
+            joints, action = home_sample(profile), make_action(*values)
             result = _compute(controller, action, joints)
             if isinstance(result, Hold):
                 continue
             require(not any(values[:3]), f"a target {values} m away was not refused")
-            _check_command(result, joints, profile, STEP_S)
-            _check_arrives(result, action, joints, profile)
-            step = max(abs(p - _by_name(joints)[n]) for n, p in _by_name(result).items() if n in profile.arm_joints)
+            check_command(result, joints, profile, STEP_S)
+            check_arrives(result, action, joints, profile)
+            step = max(abs(p - by_name(joints)[n]) for n, p in by_name(result).items() if n in profile.arm_joints)
             require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
 
 
@@ -267,14 +187,14 @@ def _check_limits(case: ControllerCase) -> None:
             for bound, inward in ((limits.lower[joint], 1e-4), (limits.upper[joint], -1e-4)):
                 arm = home.position[:count].copy()
                 arm[joint] = bound + inward
-                joints = _sample(profile, arm)
+                joints = arm_sample(profile, arm)
                 for axis in range(6):
                     for sign in (1, -1):
-                        action = _action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
+                        action = make_action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
                         result = _compute(controller, action, joints)
                         if isinstance(result, JointCommand):
-                            _check_command(result, joints, profile, STEP_S)
-                            _check_arrives(result, action, joints, profile)
+                            check_command(result, joints, profile, STEP_S)
+                            check_arrives(result, action, joints, profile)
 
 
 def _check_fast(case: ControllerCase) -> None:
@@ -282,10 +202,10 @@ def _check_fast(case: ControllerCase) -> None:
     joints = home_sample(profile)
     with _loaded(case) as controller:
         for axis in range(6):
-            action, step_s = _action(*(0.1 * np.eye(6)[axis])), 0.01
+            action, step_s = make_action(*(0.1 * np.eye(6)[axis])), 0.01
             result = _compute(controller, action, joints, step_s)
             if isinstance(result, JointCommand):
-                _check_command(result, joints, profile, step_s)
+                check_command(result, joints, profile, step_s)
 
 
 def _check_gripper(case: ControllerCase) -> None:
@@ -295,10 +215,10 @@ def _check_gripper(case: ControllerCase) -> None:
         raise NotApplicable("the robot has no gripper")
     with _loaded(case) as controller:
         for opening in (0.0, 0.3, 1.0):
-            result = _compute(controller, _action(opening=opening), home_sample(profile))
+            result = _compute(controller, make_action(opening=opening), home_sample(profile))
             if isinstance(result, Hold):
                 raise Violation(f"an action that only sets the gripper to {opening:g} was refused: {result.reason}")
-            sent = _by_name(result).get(gripper.joint)
+            sent = by_name(result).get(gripper.joint)
             wanted = gripper.to_position(opening)
             good = sent is not None and abs(sent - wanted) <= 0.01 * abs(
                 gripper.open_position - gripper.closed_position
@@ -317,13 +237,13 @@ def _check_by_name(case: ControllerCase) -> None:
         velocity=np.zeros(len(more)),
         stamp_ns=joints.stamp_ns,
     )
-    action = _action(0.003, -0.002, 0.001)
+    action = make_action(0.003, -0.002, 0.001)
     with _loaded(case) as controller:
         straight, turned = controller.forward(joints), controller.forward(mixed)
         results = [_compute(controller, action, sample) for sample in (joints, mixed)]
-    require(max(_distance(straight, turned)) <= 1e-6, "forward depends on the order of the measured joints")
+    require(max(distance(straight, turned)) <= 1e-6, "forward depends on the order of the measured joints")
     require(type(results[0]) is type(results[1]), "compute depends on the order of the measured joints")
-    first, second = ({} if isinstance(r, Hold) else _by_name(r) for r in results)
+    first, second = ({} if isinstance(r, Hold) else by_name(r) for r in results)
     same = first.keys() == second.keys() and all(abs(first[n] - second[n]) <= 1e-9 for n in first)
     require(same, "compute depends on the order of the measured joints")
 
@@ -331,20 +251,20 @@ def _check_by_name(case: ControllerCase) -> None:
 def _check_quick(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     with _loaded(case) as controller:
-        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(_action(0.002), joints, STEP_S), "compute", tries=7)
+        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(make_action(0.002), joints, STEP_S), "compute", tries=7)
         check_quick(COMPUTE_LIMIT_S, lambda: controller.forward(joints), "forward", tries=7)
 
 
 def _check_memoryless(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     kept = joints.position.copy()
-    action = _action(0.003, -0.002, 0.001)
+    action = make_action(0.003, -0.002, 0.001)
     results: list[Any] = []
     for _ in range(2):
         with _loaded(case) as controller:
             results.append(_compute(controller, action, joints))
-            _compute(controller, _action(-0.004, 0.001, 0.002), joints)
-            _compute(controller, _action(5.0), joints)
+            _compute(controller, make_action(-0.004, 0.001, 0.002), joints)
+            _compute(controller, make_action(5.0), joints)
             results.append(_compute(controller, action, joints))
     require(bool(np.array_equal(kept, joints.position)), "compute wrote into the measured joints")
     first = results[0]

@@ -80,7 +80,9 @@ def _check_defaults(case: AnyCase) -> None:
         try:
             model.model_validate(defaults)
         except ValidationError as error:
-            raise Violation(f"{model.__name__} refuses its own defaults: {error.errors()[0]['msg']}") from error
+            # A problem without a place is one of options that belong together: then the user must set some.
+            wrong = [f"{p['loc'][0]}: {p['msg']}" for p in error.errors() if p["loc"]]
+            require(not wrong, f"{model.__name__} refuses its own defaults: {'; '.join(wrong)}")
 
 
 def _check_case(case: AnyCase) -> None:
