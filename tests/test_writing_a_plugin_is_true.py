@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from roboneuron.cli.main import main
@@ -35,7 +36,17 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"1\d passed", done.stdout)
+    assert re.search(r"\d\d passed", done.stdout)
+
+
+def test_the_extra_with_what_tests_need_has_one_name():
+    for path in [*ROOT.glob("plugins/*/pyproject.toml"), ROOT / "roboneuron-core" / "pyproject.toml"]:
+        extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"].get("optional-dependencies", {})
+        named = [name for name, lines in extras.items() if any(line.startswith("pytest") for line in lines)]
+        assert named in ([], ["testing"]), path
+    template = ROOT / "roboneuron-core" / "src" / "roboneuron" / "cli" / "templates" / "common" / "pyproject.toml.tmpl"
+    assert 'testing = ["roboneuron-core[testing]"]' in template.read_text(encoding="utf-8")
+    assert "pip install -e '.[testing]'" in PAGE
 
 
 def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):

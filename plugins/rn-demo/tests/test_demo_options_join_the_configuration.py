@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.config import load_config
 from rn_demo.run import DemoOptions, write_configuration
+from roboneuron.config import load_config
 from roboneuron.errors import ConfigurationError
 
 ROBOT = '[robot]\nname = "fr3"\ndriver = "simulated"\n'

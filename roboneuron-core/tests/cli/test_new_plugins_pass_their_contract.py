@@ -37,6 +37,8 @@ def install(project: Path, site: Path) -> None:
         *(f"Requires-Dist: {requirement}" for requirement in facts["dependencies"]),
     ]
     (info / "METADATA").write_text("\n".join(lines) + "\n\n" + (project / facts["readme"]).read_text())
+    for name in facts["license-files"]:
+        (info / "licenses" / name).write_text((project / name).read_text())
     points = facts["entry-points"]["roboneuron"]
     (info / "entry_points.txt").write_text("[roboneuron]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
 

@@ -150,6 +150,19 @@ def test_a_check_that_hangs_is_ended_and_names_the_rule(monkeypatch, tmp_path):
     assert not Path(f"/proc/{pid_file.read_text()}").exists()
 
 
+@pytest.mark.parametrize("end", ["", "time.sleep(60)", "os._exit(0)"])
+def test_the_folders_that_a_case_makes_are_removed_however_the_check_ends(monkeypatch, tmp_path, end):
+    told = tmp_path / "folder"
+    body = (
+        "import os, pathlib, tempfile, time\nmade = tempfile.mkdtemp()\n"
+        f"pathlib.Path(made, 'weights').write_text('1')\npathlib.Path({str(told)!r}).write_text(made)\n{end}\n"
+    )
+    _worker(monkeypatch, tmp_path, body)
+    plugin_check.run_worker("{}", 3.0)
+    assert told.read_text()
+    assert not Path(told.read_text()).exists()
+
+
 def test_a_check_that_crashes_names_the_rule_and_the_reason(monkeypatch, tmp_path):
     _worker(monkeypatch, tmp_path, "raise SystemExit('the plugin took the process down')\n")
     results = plugin_check.run_worker("{}", 20.0)

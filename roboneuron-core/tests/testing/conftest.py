@@ -1,13 +1,8 @@
-"""Makes the deliberately broken plugins of `broken/` importable by the targets that name them."""
+"""Makes the mutants of `mutants/` importable by the tests and by the targets that name them."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-import pytest
-
-
-@pytest.fixture(autouse=True)
-def broken_plugins_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`broken_backends:NoReset` and the like can be imported."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent / "broken"))
+sys.path.append(str(Path(__file__).parent / "mutants"))

@@ -86,7 +86,7 @@ def test_the_worker_writes_a_line_before_and_after_each_rule(monkeypatch):
     by_subject = {d["subject"]: set() for d in decided}
     for line in decided:
         by_subject[line["subject"]].add(line["verdict"])
-    assert by_subject == {"rn-fakes": {"failed"}, "backend instant": {"passed"}}
+    assert by_subject == {"rn-fakes": {"failed"}, "backend instant": {"passed", "skipped"}}
 
 
 def test_the_worker_reports_a_broken_case_under_every_rule(monkeypatch, shipped):

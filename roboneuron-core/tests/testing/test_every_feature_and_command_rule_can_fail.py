@@ -39,7 +39,7 @@ def _visible_to_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     import os
     from pathlib import Path
 
-    monkeypatch.setenv("PYTHONPATH", f"{Path(__file__).parent / 'broken'}:{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv("PYTHONPATH", f"{Path(__file__).parent / 'mutants'}:{os.environ.get('PYTHONPATH', '')}")
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,14 @@ class Sample:
     def case(self) -> PackageCase:
         return PackageCase(distribution="rn-sample", path=(str(self.root),))
 
+    def change(self, old: str, new: str) -> None:
+        """Write the metadata with `new` for `old`."""
+        (self.info / "METADATA").write_text(METADATA.replace(old, new))
+
+    def module(self, name: str, text: str) -> None:
+        """Add a module beside the package."""
+        (self.root / f"{name}.py").write_text(text)
+
     def drop(self, line: str) -> None:
         """Take the metadata line that starts with `line` away."""
         kept = [text for text in METADATA.splitlines(keepends=True) if not text.startswith(line)]
@@ -65,6 +73,8 @@ def sample(tmp_path: Path) -> Sample:
     (made.package / "plugin.py").write_text(PLUGIN)
     (made.package / "policy.py").write_text("import numpy\nfrom roboneuron.contract import Observation\n")
     (made.package / "py.typed").touch()
+    (made.info / "licenses").mkdir()
+    (made.info / "licenses" / "LICENSE").write_text("Permission is granted ...")
     (made.info / "METADATA").write_text(METADATA)
     (made.info / "entry_points.txt").write_text("[roboneuron]\nrn-sample = rn_sample.plugin\n")
     return made
@@ -96,6 +106,57 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
     "no summary": ("package/summary", lambda s: s.drop("Summary")),
     "no licence": ("package/licence", lambda s: s.drop("License-Expression")),
     "no licence file": ("package/licence", lambda s: s.drop("License-File")),
+    "licence file empty": ("package/licence", lambda s: (s.info / "licenses" / "LICENSE").write_text("\n")),
+    "licence file absent": ("package/licence", lambda s: (s.info / "licenses" / "LICENSE").unlink()),
+    "python with an upper bound only": ("package/requires-python", lambda s: s.change(">=3.11", "<3.14")),
+    "core without bounds": (
+        "package/requires-core",
+        lambda s: s.change("roboneuron-core<0.2,>=0.1", "roboneuron-core"),
+    ),
+    "core in an extra": (
+        "package/requires-core",
+        lambda s: s.change("roboneuron-core<0.2,>=0.1", 'roboneuron-core<0.2,>=0.1; extra == "x"'),
+    ),
+    "imports cv2 with the plugin module": (
+        "package/plugin-module-light",
+        lambda s: ((s.package / "plugin.py").write_text("import yaml_like\n" + PLUGIN), s.module("yaml_like", "")),
+    ),
+    "hook of another signature": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("():", "(robot):"))),
+    "hook without marker": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("@hookimpl", ""))),
+    "hook returns a generator": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("return [", "yield ["))),
+    "plugin module raises": ("package/hooks-usable", _write("plugin.py", "1 / 0\n")),
+    "plugin module prints": ("package/plugin-module-pure", _write("plugin.py", "print('hello')\n" + PLUGIN)),
+    "plugin module starts a thread": (
+        "package/plugin-module-pure",
+        _write(
+            "plugin.py",
+            "import threading, time\nthreading.Thread(target=time.sleep, args=(9,), daemon=True).start()\n" + PLUGIN,
+        ),
+    ),
+    "plugin module starts a process": (
+        "package/plugin-module-pure",
+        _write("plugin.py", "import subprocess\nsubprocess.run(['true'])\n" + PLUGIN),
+    ),
+    "plugin module writes a file": (
+        "package/plugin-module-pure",
+        _write("plugin.py", "open(__file__ + '.log', 'w').close()\n" + PLUGIN),
+    ),
+    "plugin module computes": (
+        "package/plugin-module-pure",
+        _write("plugin.py", "import time\nwhile time.thread_time() < 1.5: pass\n" + PLUGIN),
+    ),
+    "imports what it does not declare": ("package/imports-declared", _write("policy.py", "import pytest\n")),
+    "imports late what it does not declare": (
+        "package/imports-declared",
+        _write("policy.py", "def load():\n    import pytest\n"),
+    ),
+    "imports the gate": ("package/import-direction", _write("policy.py", "from roboneuron.gate import limits\n")),
+    "imports ros": ("package/import-direction", _write("policy.py", "import roboneuron.ros.node\n")),
+    "imports the server by name": (
+        "package/import-direction",
+        _write("policy.py", "import importlib\nimportlib.import_module('roboneuron.server')\n"),
+    ),
+    "a file that is no Python": ("package/import-direction", _write("policy.py", "def (:\n")),
     "no python": ("package/requires-python", lambda s: s.drop("Requires-Python")),
     "no core": ("package/requires-core", lambda s: s.drop("Requires-Dist")),
     "imports the server": ("package/import-direction", _write("policy.py", "from roboneuron.server import app\n")),
@@ -119,6 +180,16 @@ def test_a_broken_package_fails_its_rule(sample, site, fault):
 
 def test_every_package_rule_has_a_package_that_breaks_it():
     assert {rule for rule, _ in BROKEN.values()} == {rule.id for rule in RULES["package"]}
+
+
+def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample):
+    hosted = sample.package / "served"
+    hosted.mkdir()
+    (hosted / "registration.py").write_text("import pytest\n")
+    points = "[roboneuron]\nrn-sample = rn_sample.plugin\n[host.plugins]\nsample = rn_sample.served.registration:go\n"
+    (sample.info / "entry_points.txt").write_text(points)
+    rule = next(r for r in RULES["package"] if r.id == "package/imports-declared")
+    assert verify(rule, sample.case()).verdict is Verdict.PASSED
 
 
 def test_a_distribution_that_is_not_installed_is_named(sample):

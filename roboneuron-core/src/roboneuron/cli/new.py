@@ -31,7 +31,7 @@ def run(arguments: Namespace) -> int:
     directory = arguments.directory or Path(distribution)
     written = write_package(arguments.kind, arguments.name, directory)
     print(f"Wrote {len(written)} files of {distribution} to {directory}/. Next:\n")
-    print(f"  cd {directory}\n  pip install -e '.[test]'\n  pytest\n  roboneuron plugins check {arguments.name}")
+    print(f"  cd {directory}\n  pip install -e '.[testing]'\n  pytest\n  roboneuron plugins check {arguments.name}")
     return 0
 
 

@@ -99,7 +99,12 @@ def parse_options(words: Sequence[str]) -> dict[str, object]:
 
 def run_worker(request: str, timeout_s: float) -> list[Result]:
     """Run the worker in a process group of its own and read what it decided before it ended or was ended."""
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as errors,
+        # Folders that a case makes go with this one, also when the worker is killed. A thread that the kill did not
+        # reach at once may still write.
+        tempfile.TemporaryDirectory(prefix="roboneuron-check-", ignore_cleanup_errors=True) as scratch,
+    ):
         process = subprocess.Popen(
             [sys.executable, "-m", WORKER],
             stdin=subprocess.PIPE,
@@ -107,6 +112,7 @@ def run_worker(request: str, timeout_s: float) -> list[Result]:
             stderr=errors,
             text=True,
             start_new_session=True,
+            env={**os.environ, "TMPDIR": scratch},
         )
         lost = ""
         try:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roboneuron.contract.arrays import freeze
 from roboneuron.contract.observation import Pose
 from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import InvalidInputError, UnsafeError
@@ -47,7 +48,7 @@ def check_action_vector(values: ArrayLike) -> F64:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Action:
-    """One step: a TCP delta in the base frame and the absolute gripper opening.
+    """One step: a TCP delta in the base frame and the absolute gripper opening. Its arrays are read-only copies.
 
     Attributes:
         translation_m: float64 (3,), base frame.
@@ -59,11 +60,14 @@ class Action:
     rotation_rad: F64
     gripper_open: float
 
+    def __post_init__(self) -> None:
+        freeze(self, "translation_m", "rotation_rad")
+
     @classmethod
     def from_vector(cls, values: ArrayLike) -> Action:
         """Build from 7 values in the order of ACTION_FIELDS; raises as `check_action_vector`."""
         v = check_action_vector(values)
-        return cls(translation_m=v[:3].copy(), rotation_rad=v[3:6].copy(), gripper_open=float(v[6]))
+        return cls(translation_m=v[:3], rotation_rad=v[3:6], gripper_open=float(v[6]))
 
     def to_vector(self) -> F64:
         """Return float64 (7,) in the order of ACTION_FIELDS."""
@@ -75,7 +79,7 @@ class ActionChunk:
     """What one inference yields: H actions, played out one per `step_s`, the first at once.
 
     Attributes:
-        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction.
+        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction, kept as a read-only copy.
         step_s: time between two actions [s], > 0.
         metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and get_status.
         note: one short sentence on what the backend is doing, shown to the agent; may be empty.
@@ -97,7 +101,8 @@ class ActionChunk:
             check_action_vector(row)
         if not (np.isfinite(self.step_s) and self.step_s > 0):
             raise InvalidInputError(f"step_s is {self.step_s}, expected a finite number of seconds > 0.")
-        object.__setattr__(self, "actions", actions)
+        freeze(self, "actions")
+        object.__setattr__(self, "metrics", dict(self.metrics))
 
 
 def apply_delta(pose: Pose, action: Action) -> Pose:

@@ -17,6 +17,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import freeze
+
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
@@ -79,7 +81,7 @@ class Shard:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prompt:
-    """What the model is shown, in both forms.
+    """What the model is shown, in both forms. Neither side writes to its arrays.
 
     Attributes:
         text: the whole prompt, as a served engine gets it.
@@ -125,6 +127,10 @@ class TokenReply:
     logits: F32 | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        freeze(self, "tokens", dtype=np.int64)
+        freeze(self, "logits", dtype=np.float32)
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RowsRequest:
@@ -157,6 +163,9 @@ class RowsReply:
 
     values: F32
     metrics: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "values", dtype=None)
 
 
 Request = TokenRequest | RowsRequest

@@ -1,4 +1,7 @@
-"""What travels between controller and robot driver: measured state, joint commands, reasons to hold."""
+"""What travels between controller and robot driver: measured state, joint commands, reasons to hold.
+
+Arrays are kept as read-only copies.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import freeze
 from roboneuron.contract.observation import JointSample, Pose
 
 F64 = NDArray[np.float64]
@@ -29,6 +33,9 @@ class JointCommand:
     duration_s: float
     residual_m: float = 0.0
     residual_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "position")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,3 +95,6 @@ class RobotState:
     joints: JointSample
     gripper_open: float | None = None
     detail: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "detail", dict(self.detail))

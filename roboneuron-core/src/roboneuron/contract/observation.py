@@ -1,4 +1,7 @@
-"""What a backend sees: images, the instruction and proprioception, each with its own time."""
+"""What a backend sees: images, the instruction and proprioception, each with its own time.
+
+Arrays are kept as read-only copies. An image is too large to copy at every hop: a frame keeps a read-only view of it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
 
 F64 = NDArray[np.float64]
@@ -28,6 +32,9 @@ class CameraCalibration:
     mount: str
     T_mount_camera: F64
 
+    def __post_init__(self) -> None:
+        freeze(self, "intrinsics", "T_mount_camera")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
@@ -35,7 +42,7 @@ class Frame:
 
     Attributes:
         camera: the camera's name on the robot ("front", "wrist").
-        image: uint8 (H, W, 3), RGB, row 0 on top.
+        image: uint8 (H, W, 3), RGB, row 0 on top; a read-only view, whose memory its source does not write to again.
         stamp_ns: capture time, ROS clock [ns].
         frame_id: optical frame's name, never empty.
         calibration: None when the robot's profile has none for this camera.
@@ -51,7 +58,7 @@ class Frame:
     calibration: CameraCalibration | None = None
 
     def __post_init__(self) -> None:
-        check_rgb8(self.image)
+        object.__setattr__(self, "image", read_only_view(check_rgb8(self.image)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -67,6 +74,9 @@ class Pose:
     position_m: F64
     quaternion_xyzw: F64
     stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        freeze(self, "position_m", "quaternion_xyzw")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -84,6 +94,9 @@ class JointSample:
     position: F64
     velocity: F64 | None = None
     stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        freeze(self, "position", "velocity")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -105,3 +118,6 @@ class Observation:
     ee_pose: Pose | None = None
     gripper_open: float | None = None
     stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frames", dict(self.frames))

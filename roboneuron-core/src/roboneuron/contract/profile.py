@@ -1,15 +1,19 @@
-"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints."""
+"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints.
+
+Arrays are kept as read-only copies.
+"""
 
 from __future__ import annotations
 
 import functools
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import freeze
 from roboneuron.contract.observation import CameraCalibration
 
 F64 = NDArray[np.float64]
@@ -49,6 +53,9 @@ class JointLimits:
     effort: F64
     braking_offset: F64 | None = None
     braking_deceleration: F64 | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, *(field.name for field in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -108,6 +115,9 @@ class Workspace:
     lower_m: F64
     upper_m: F64
 
+    def __post_init__(self) -> None:
+        freeze(self, "lower_m", "upper_m")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Obstacle:
@@ -116,6 +126,9 @@ class Obstacle:
     name: str
     lower_m: F64
     upper_m: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "lower_m", "upper_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -196,6 +209,9 @@ class RobotProfile:
     workspace: Workspace | None = None
     collision: CollisionProfile | None = None
     endpoints: tuple[Endpoint, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "home_rad")
 
     def tolerance(self, joint: str) -> float:
         """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a gripper's travel."""

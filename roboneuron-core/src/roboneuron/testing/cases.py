@@ -10,6 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from roboneuron.contract import (
     Acceleration,
     Backend,
@@ -34,6 +37,7 @@ from roboneuron.plugins.specs import (
     RuntimeSpec,
     Spec,
 )
+from roboneuron.testing.deadline import CALL_LIMITS_S, call_bounded
 from roboneuron.testing.fakes import MemoryTopics, gantry_profile, make_observation
 from roboneuron.testing.rule import NotApplicable, Violation
 
@@ -44,7 +48,6 @@ if TYPE_CHECKING:
     from roboneuron.server.feature import Feature
 
 S = TypeVar("S", bound=Spec)
-P = TypeVar("P")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,8 @@ class Case(Generic[S]):
     Attributes:
         spec: the descriptor under test.
         options: as a user would set them under `[plugins.<name>]`.
+        limits_s: bound on one call by method name [s] ("predict", "close"), over those of
+            `roboneuron.testing.deadline`; a call that takes longer fails its rule.
         is_automatic: made without the author's help (`roboneuron plugins check` on a plugin without `case`): then what
             cannot be started for want of options, hardware or weights is skipped with the reason instead of failing.
     """
@@ -63,6 +68,7 @@ class Case(Generic[S]):
 
     spec: S
     options: Mapping[str, object] = field(default_factory=dict)
+    limits_s: Mapping[str, float] = field(default_factory=dict)
     is_automatic: bool = False
 
     def configuration(self) -> object:
@@ -75,9 +81,34 @@ class Case(Generic[S]):
             raise Violation(f"`target` names {target!r}, expected a class or function")
         return target
 
+    def _bounded(self, construct: Callable[[], Any]) -> Callable[[], Any]:
+        limit_s = {**CALL_LIMITS_S, **self.limits_s}["constructor"]
+        return lambda: call_bounded("the constructor", limit_s, construct)
+
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """Positional and keyword arguments that `target` is called with, apart from real values."""
         return (None,), {}
+
+    def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
+        """Real positional arguments after the configuration, and keyword arguments."""
+        return (), {}
+
+    def option_names(self) -> frozenset[str]:
+        """The options that the case sets, which its plugin therefore is to read."""
+        return frozenset(self.options)
+
+    def prepare(
+        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+    ) -> Callable[[], Any]:
+        """Load target and options and make the arguments; what is returned does nothing but call the constructor.
+
+        Args:
+            topics: lent to the plugin; new ones when None.
+            configure: given the validated options, returns what is passed instead.
+        """
+        target, configuration = self._target(self.spec), configure(self.configuration())
+        positional, named = self.inputs(MemoryTopics() if topics is None else topics)
+        return self._bounded(lambda: target(configuration, *positional, **named))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +119,7 @@ class BackendCase(Case[BackendSpec]):
         observe: makes an observation that the backend can act on; a synthetic one when None. It is cut down to what the
             descriptor declares before use.
         runtime, acceleration: make what the backend is to be built with; None for without.
+        predict_limit_s: how long the quickest of three predictions may take [s].
     """
 
     subject: ClassVar[str] = "backend"
@@ -95,17 +127,20 @@ class BackendCase(Case[BackendSpec]):
     observe: Callable[[], Observation] | None = None
     runtime: Callable[[], Runtime] | None = None
     acceleration: Callable[[], Acceleration] | None = None
+    predict_limit_s: float = 1.0
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the inference module calls it."""
         return (None,), {"runtime": None, "acceleration": None}
 
+    def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
+        """A new runtime and a new acceleration, if the case has some."""
+        runtime = None if self.runtime is None else self.runtime()
+        return (), {"runtime": runtime, "acceleration": None if self.acceleration is None else self.acceleration()}
+
     def build(self) -> Backend:
         """A new backend, not loaded."""
-        runtime = None if self.runtime is None else self.runtime()
-        acceleration = None if self.acceleration is None else self.acceleration()
-        made = self._target(self.spec)(self.configuration(), runtime=runtime, acceleration=acceleration)
-        return cast(Backend, made)
+        return cast(Backend, self.prepare()())
 
     def observation(self) -> Observation:
         """What the backend sees: required roles only, state only when declared."""
@@ -125,6 +160,10 @@ class RuntimeCase(Case[RuntimeSpec]):
         request: makes what `run` takes; None likewise.
         bad_request: makes a request that must be refused; None likewise.
         acceleration: makes a preset that `load` must accept; None likewise.
+        other_request: makes another request than `request`, whose answer differs; None likewise.
+        long_request: makes a request that runs for seconds unless it is aborted; `request` when None.
+        expected: makes the answer to `request`; None when it is not known.
+        run_limit_s: how long the quickest of three runs of `request` may take [s].
     """
 
     subject: ClassVar[str] = "runtime"
@@ -133,10 +172,14 @@ class RuntimeCase(Case[RuntimeSpec]):
     request: Callable[[], object] | None = None
     bad_request: Callable[[], object] | None = None
     acceleration: Callable[[], Acceleration] | None = None
+    other_request: Callable[[], object] | None = None
+    long_request: Callable[[], object] | None = None
+    expected: Callable[[], object] | None = None
+    run_limit_s: float = 5.0
 
     def build(self) -> Runtime:
         """A new runtime, not loaded."""
-        return cast(Runtime, self._target(self.spec)(self.configuration()))
+        return cast(Runtime, self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,15 +188,18 @@ class AccelerationCase(Case[AccelerationSpec]):
 
     Attributes:
         decoder: makes a decoder that has the capability; None when there is none to try.
+        expected: takes a decoder that the preset was applied to and says whether it was changed as intended; None when
+            only a change of any kind can be told.
     """
 
     subject: ClassVar[str] = "acceleration"
 
     decoder: Callable[[], object] | None = None
+    expected: Callable[[Any], bool] | None = None
 
     def build(self) -> Acceleration:
         """A new preset."""
-        return cast(Acceleration, self._target(self.spec)(self.configuration()))
+        return cast(Acceleration, self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +211,8 @@ class PerceptionCase(Case[PerceptionSpec]):
         feed: makes a frame arrive, called before each read with the open source and its topics; None when frames come
             by themselves.
         timeout_s: bound on waiting for one frame [s].
+        expected: makes the image that the first frame shows, RGB; None when it is not known. The mean difference may
+            be 12 of 255, so that a lossy codec passes.
     """
 
     subject: ClassVar[str] = "perception"
@@ -172,6 +220,7 @@ class PerceptionCase(Case[PerceptionSpec]):
     cameras: Callable[[], tuple[CameraProfile, ...]] | None = None
     feed: Callable[[Any, MemoryTopics], None] | None = None
     timeout_s: float = 10.0
+    expected: Callable[[], NDArray[np.uint8]] | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the perception module calls it."""
@@ -181,9 +230,13 @@ class PerceptionCase(Case[PerceptionSpec]):
         """The cameras to serve."""
         return gantry_profile().cameras if self.cameras is None else self.cameras()
 
+    def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
+        """The topics and the cameras."""
+        return (topics, self.profiles()), {}
+
     def build(self, topics: MemoryTopics) -> PerceptionSource:
         """A new source, not open."""
-        return cast(PerceptionSource, self._target(self.spec)(self.configuration(), topics, self.profiles()))
+        return cast(PerceptionSource, self.prepare(topics)())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,9 +262,13 @@ class ControllerCase(Case[ControllerSpec]):
             raise NotApplicable("the controller moves no arms")
         return profile
 
+    def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
+        """The arm's profile."""
+        return (self.robot(),), {}
+
     def build(self) -> Controller:
         """A new controller, not loaded."""
-        return cast(Controller, self._target(self.spec)(self.configuration(), self.robot()))
+        return cast(Controller, self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,11 +313,22 @@ class RobotCase(Case[RobotSpec]):
             raise Violation(f"the case names the driver {self.driver!r}, which the descriptor lacks")
         return spec
 
+    def option_names(self) -> frozenset[str]:
+        """The options of the driver that the case sets."""
+        return frozenset(self.driver_options)
+
+    def prepare(
+        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+    ) -> Callable[[], Any]:
+        """As of every case, for the driver; the profile is made here, so that its files are not the constructor's."""
+        spec = self.driver_spec()
+        target, options = self._target(spec), configure(load_options(spec, self.driver_options))
+        profile, lent = self.profile(), MemoryTopics() if topics is None else topics
+        return self._bounded(lambda: target(options, profile, lent))
+
     def build(self, topics: MemoryTopics) -> RobotDriver:
         """A new driver, not open."""
-        spec = self.driver_spec()
-        options = load_options(spec, self.driver_options)
-        return cast(RobotDriver, self._target(spec)(options, self.profile(), topics))
+        return cast(RobotDriver, self.prepare(topics)())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,24 +6,9 @@ from typing import Any
 
 import pytest
 
-from roboneuron.testing.cases import (
-    AccelerationCase,
-    BackendCase,
-    CommandCase,
-    ControllerCase,
-    FeatureCase,
-    PackageCase,
-    PerceptionCase,
-    RobotCase,
-    RuntimeCase,
-)
+from roboneuron.testing.cases import CASES, PackageCase
 from roboneuron.testing.rule import Rule, Verdict, verify
 from roboneuron.testing.rules import RULES
-
-
-def _for_each_rule(kind: str) -> pytest.MarkDecorator:
-    rules = RULES[kind]
-    return pytest.mark.parametrize("rule", rules, ids=[rule.id for rule in rules])
 
 
 def _report(rule: Rule[Any], case: Any) -> None:
@@ -36,127 +21,34 @@ def _report(rule: Rule[Any], case: Any) -> None:
         pytest.fail(text.rstrip(), pytrace=False)
 
 
-class BackendContract:
-    """Subclass as `TestX` and override `plugin`; every rule of backends becomes a test."""
+class Contract:
+    """Base of the contract classes: override `plugin`, and every rule of the kind becomes a test."""
 
     @pytest.fixture
-    def plugin(self) -> BackendCase:
-        """The backend to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a BackendCase")
+    def plugin(self) -> Any:
+        """The case to test."""
+        raise NotImplementedError(f"override the fixture `plugin` and return a case, see {type(self).__mro__[1]}")
 
-    @_for_each_rule("backend")
-    def test_contract(self, rule: Rule[BackendCase], plugin: BackendCase) -> None:
+
+def _contract(kind: str, case: type[Any]) -> type[Contract]:
+    rules = RULES[kind]
+
+    @pytest.mark.parametrize("rule", rules, ids=[rule.id for rule in rules])
+    def test_contract(self: Contract, rule: Rule[Any], plugin: Any) -> None:
         """The rule holds."""
         _report(rule, plugin)
 
-
-class RuntimeContract:
-    """Subclass as `TestX` and override `plugin`; every rule of runtimes becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> RuntimeCase:
-        """The runtime to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a RuntimeCase")
-
-    @_for_each_rule("runtime")
-    def test_contract(self, rule: Rule[RuntimeCase], plugin: RuntimeCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
+    text = f"Subclass as `TestX`, override `plugin` and return a {case.__name__}; every rule becomes a test."
+    name = f"{kind.capitalize()}Contract"
+    return type(name, (Contract,), {"__doc__": text, "__module__": __name__, "test_contract": test_contract})
 
 
-class AccelerationContract:
-    """Subclass as `TestX` and override `plugin`; every rule of accelerations becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> AccelerationCase:
-        """The acceleration to test."""
-        raise NotImplementedError("override the fixture `plugin` and return an AccelerationCase")
-
-    @_for_each_rule("acceleration")
-    def test_contract(self, rule: Rule[AccelerationCase], plugin: AccelerationCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class PerceptionContract:
-    """Subclass as `TestX` and override `plugin`; every rule of perception sources becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> PerceptionCase:
-        """The source to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a PerceptionCase")
-
-    @_for_each_rule("perception")
-    def test_contract(self, rule: Rule[PerceptionCase], plugin: PerceptionCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class ControllerContract:
-    """Subclass as `TestX` and override `plugin`; every rule of controllers becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> ControllerCase:
-        """The controller to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a ControllerCase")
-
-    @_for_each_rule("controller")
-    def test_contract(self, rule: Rule[ControllerCase], plugin: ControllerCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class RobotContract:
-    """Subclass as `TestX` and override `plugin`; every rule of robots and of the one driver becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> RobotCase:
-        """The robot to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a RobotCase")
-
-    @_for_each_rule("robot")
-    def test_contract(self, rule: Rule[RobotCase], plugin: RobotCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class FeatureContract:
-    """Subclass as `TestX` and override `plugin`; every rule of features becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> FeatureCase:
-        """The feature to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a FeatureCase")
-
-    @_for_each_rule("feature")
-    def test_contract(self, rule: Rule[FeatureCase], plugin: FeatureCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class CommandContract:
-    """Subclass as `TestX` and override `plugin`; every rule of commands becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> CommandCase:
-        """The command to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a CommandCase")
-
-    @_for_each_rule("command")
-    def test_contract(self, rule: Rule[CommandCase], plugin: CommandCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
-
-
-class PackageContract:
-    """Subclass as `TestX` and override `plugin`; every rule of packages becomes a test."""
-
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        """The distribution to test."""
-        raise NotImplementedError("override the fixture `plugin` and return a PackageCase")
-
-    @_for_each_rule("package")
-    def test_contract(self, rule: Rule[PackageCase], plugin: PackageCase) -> None:
-        """The rule holds."""
-        _report(rule, plugin)
+BackendContract = _contract("backend", CASES["backend"])
+RuntimeContract = _contract("runtime", CASES["runtime"])
+AccelerationContract = _contract("acceleration", CASES["acceleration"])
+PerceptionContract = _contract("perception", CASES["perception"])
+ControllerContract = _contract("controller", CASES["controller"])
+RobotContract = _contract("robot", CASES["robot"])
+FeatureContract = _contract("feature", CASES["feature"])
+CommandContract = _contract("command", CASES["command"])
+PackageContract = _contract("package", PackageCase)

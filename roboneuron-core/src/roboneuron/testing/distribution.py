@@ -23,17 +23,35 @@ PROBE_LIMIT_S = 60.0
 """Bound on a fresh interpreter's start and import."""
 
 _PROBE = """
-import importlib, json, sys
+import importlib, io, json, sys, threading, time
+import roboneuron.plugins.markers, roboneuron.plugins.specs
 sys.path[:0] = json.loads(sys.argv[1])
+before, out, threads, effects = set(sys.modules), sys.stdout, threading.active_count(), []
+WATCHED = {"socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.mkdir", "os.remove", "os.rename"}
+def audit(event, arguments):
+    if event in WATCHED and not (event.startswith("os.") and "__pycache__" in str(arguments)):
+        effects.append(f"{event} {arguments[0]}" if arguments else event)
+    elif event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
+        if "__pycache__" not in str(arguments[0]):
+            effects.append(f"writes {arguments[0]}")
+sys.addaudithook(audit)
+sys.stdout = io.StringIO()
+begun_s = time.thread_time()
 module = importlib.import_module(sys.argv[2])
-loaded = sorted(sys.modules)
+spent_s = time.thread_time() - begun_s
+effects = list(effects)
+if sys.stdout.getvalue(): effects.append(f"prints {sys.stdout.getvalue()!r:.40}")
+if threading.active_count() > threads: effects.append("starts threads")
+if spent_s > 1.0: effects.append(f"computes for {spent_s:.1f} s")
+sys.stdout = out
+loaded = sorted(set(sys.modules) - before)
 from roboneuron.plugins.discovery import read_module
 try:
     read_module(module)
     problem = ""
 except Exception as error:
     problem = str(error)
-print("\\n" + json.dumps({"loaded": loaded, "problem": problem}))
+print("\\n" + json.dumps({"loaded": loaded, "problem": problem, "effects": effects}))
 """
 
 
@@ -42,12 +60,14 @@ class Probe:
     """What importing a plugin module in a fresh interpreter did.
 
     Attributes:
-        loaded: names of all modules that are then loaded.
+        loaded: names of the modules that are loaded with it and are not loaded with the markers and descriptors.
         problem: why the module's hooks cannot be used; empty when they can.
+        effects: what else the import did, as parts of a sentence.
     """
 
     loaded: frozenset[str]
     problem: str
+    effects: tuple[str, ...]
 
 
 def normalise(name: str) -> str:
@@ -92,6 +112,14 @@ def source_files(case: PackageCase) -> Iterator[Path]:
         yield from sorted(directory.rglob("*.py"))
 
 
+def hosted_directories(case: PackageCase) -> Iterator[Path]:
+    """Subpackages that programs other than RoboNeuron load, by entry points in groups of theirs."""
+    for point in find_distribution(case).entry_points:
+        inner = point.module.split(".")[1:-1]
+        if point.group not in (PROJECT, "console_scripts") and inner:
+            yield find_package_directory(case, point.module).joinpath(*inner)
+
+
 def imported_modules(path: Path) -> Iterator[tuple[str, int]]:
     """Absolute names of the modules that a file imports anywhere, with line numbers."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
@@ -99,6 +127,10 @@ def imported_modules(path: Path) -> Iterator[tuple[str, int]]:
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if name in ("import_module", "__import__") and isinstance(node.args[0].value, str):
+                yield node.args[0].value, node.lineno
 
 
 def requirements(case: PackageCase) -> frozenset[str]:
@@ -126,4 +158,4 @@ def probe(case: PackageCase, module: str) -> Probe:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
         raise Violation(f"importing {module} failed: {last[0]}")
     answer = json.loads(done.stdout.strip().splitlines()[-1])
-    return Probe(loaded=frozenset(answer["loaded"]), problem=answer["problem"])
+    return Probe(loaded=frozenset(answer["loaded"]), problem=answer["problem"], effects=tuple(answer["effects"]))

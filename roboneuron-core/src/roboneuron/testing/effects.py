@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import functools
+import gc
+import itertools
+import os
 import sys
 import threading
 import time
+import tracemalloc
 from collections.abc import Callable
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
 
 from roboneuron.errors import RoboNeuronError
-from roboneuron.testing.rule import Violation
+from roboneuron.testing.rule import NotApplicable, Violation
 
 T = TypeVar("T")
 
@@ -20,6 +24,11 @@ HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujo
 """Modules whose import takes so long that it belongs into `load` or `open`."""
 PURE_CPU_S = 0.5
 """Processor time a constructor may take; generous, since what it must not do takes seconds."""
+MANY, QUICK_S = 200, 0.001
+"""Calls per round of the memory check, and how quick a call must be for so many."""
+LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
+"""What a quick call, another one (whose bounded histories are still filling) and, of memory that Python does not know,
+any call may keep; below is noise."""
 
 _EVENTS = {
     "open": "opens the file",
@@ -85,6 +94,8 @@ def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeu
         result = action()
     except expected:
         return
+    except NotApplicable:
+        raise
     except Exception as error:
         raise Violation(f"{what} raised {type(error).__name__}: {error}; expected {names}") from error
     raise Violation(f"{what} returned {_short(result)}, expected {names}")
@@ -140,6 +151,53 @@ def check_released(before: frozenset[str], what: str, limit_s: float = 3.0) -> N
     """Raise Violation when threads or child processes that were not `before` are still there after `limit_s`."""
     if not wait_until(lambda: running() <= before, limit_s):
         raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")
+
+
+def check_quick(limit_s: float, action: Callable[[], object], what: str, *, tries: int = 3) -> None:
+    """Raise Violation unless the quickest of some calls takes at most `limit_s`: a busy machine slows one, not all."""
+    quickest_s = float("inf")
+    for _ in range(tries):
+        begun_s = time.perf_counter()
+        action()
+        quickest_s = min(quickest_s, time.perf_counter() - begun_s)
+        if quickest_s <= limit_s:
+            return
+    raise Violation(f"{what} takes {quickest_s:.3g} s, at most {limit_s:g} s are allowed")
+
+
+def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:
+    """Raise Violation when memory grows with every call: in each of three rounds, after one that may fill caches.
+
+    Args:
+        action: the call.
+        what: its name.
+        count: calls per round; of quick ones MANY are made, which fill every bounded history and show smaller leaks.
+    """
+    begun_s = time.perf_counter()
+    action()
+    is_quick = time.perf_counter() - begun_s < QUICK_S
+    count = MANY if is_quick else count
+    traced: list[int] = []
+    resident: list[int] = []
+    tracemalloc.start(1)
+    try:
+        for _ in range(4):
+            for _ in range(count):
+                action()
+            gc.collect()
+            traced.append(tracemalloc.get_traced_memory()[0])
+            resident.append(_resident_bytes())
+    finally:
+        tracemalloc.stop()
+    for marks, allowed in ((traced, LEAK_BYTES if is_quick else SLOW_LEAK_BYTES), (resident, RESIDENT_LEAK_BYTES)):
+        kept = min(later - sooner for sooner, later in itertools.pairwise(marks)) / count
+        if kept > allowed:
+            raise Violation(f"{what} keeps about {kept:.0f} bytes of memory with every call")
+
+
+def _resident_bytes() -> int:
+    status = Path("/proc/self/statm")
+    return int(status.read_text().split()[1]) * os.sysconf("SC_PAGESIZE") if status.is_file() else 0
 
 
 def _short(value: object) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
+from roboneuron.testing.deadline import Overdue, run_bounded
+
 CaseT = TypeVar("CaseT")
 
 
@@ -62,9 +64,11 @@ class Outcome:
 
 
 def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
-    """Run one rule; anything the plugin raises that the rule does not expect is a failure."""
+    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a failure."""
     try:
-        rule.check(case)
+        run_bounded(lambda: rule.check(case))
+    except Overdue as overdue:
+        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(overdue))
     except NotApplicable as reason:
         return Outcome(rule=rule.id, verdict=Verdict.SKIPPED, detail=str(reason))
     except Violation as violation:

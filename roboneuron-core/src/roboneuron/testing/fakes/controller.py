@@ -28,7 +28,8 @@ class GantryController:
 
     def load(self) -> None:
         """Raises ConfigurationError for robots that are no gantry."""
-        if self._profile.arm_joints != (*SLIDES, *HINGES):
+        links = tuple(f'<link name="{name}"' for name in (self._profile.base_link, self._profile.tcp_link))
+        if self._profile.arm_joints != (*SLIDES, *HINGES) or any(link not in self._profile.urdf for link in links):
             raise ConfigurationError(f"Robot {self._profile.name!r} is no gantry.")
         self._loaded = True
 
@@ -49,13 +50,16 @@ class GantryController:
         return Pose(position_m=q[:3].copy(), quaternion_xyzw=rotation, stamp_ns=joints.stamp_ns)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """The joints of the target pose; holds for bad numbers, large steps and positions outside the limits."""
+        """The joints of the target pose; holds for bad numbers, large steps and positions outside the limits.
+
+        A step that needs more than a joint's velocity limit is given more time.
+        """
         try:
             measured = self._measured(joints)
         except UnsafeError as error:
             return Hold(code="bad_state", reason=str(error))
-        if not np.isfinite(action.to_vector()).all():
-            return Hold(code="bad_action", reason="The action holds a value that is not finite.")
+        if not np.isfinite(action.to_vector()).all() or not (math.isfinite(step_s) and step_s > 0):
+            return Hold(code="bad_action", reason=f"Action or step_s ({step_s}) is not finite, or there is no time.")
         target = apply_delta(self.forward(joints), action)
         m = matrix_from_quaternion(target.quaternion_xyzw)
         hinges = (math.atan2(m[1, 0], m[0, 0]), math.asin(np.clip(-m[2, 0], -1, 1)), math.atan2(m[2, 1], m[2, 2]))
@@ -67,11 +71,12 @@ class GantryController:
             return Hold(code="joint_jump", reason=f"A joint would move by {step:.3f}, the limit is {MAX_STEP}.")
         if (q < limits.lower).any() or (q > limits.upper).any():
             return Hold(code="joint_limit", reason="The target is outside the joint limits.")
+        duration_s = max(step_s, float((np.abs(q - measured) / limits.velocity).max()))
         if gripper is None:
-            return JointCommand(names=self._profile.arm_joints, position=q, duration_s=step_s)
+            return JointCommand(names=self._profile.arm_joints, position=q, duration_s=duration_s)
         finger = gripper.to_position(action.gripper_open)
         names = (*self._profile.arm_joints, gripper.joint)
-        return JointCommand(names=names, position=np.append(q, finger), duration_s=step_s)
+        return JointCommand(names=names, position=np.append(q, finger), duration_s=duration_s)
 
     def close(self) -> None:
         """Forget the profile's check."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import time
+from dataclasses import replace
+
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -26,6 +30,8 @@ HINGES = ("yaw", "pitch", "roll")
 """Revolute joints after the slides, about z, y and x."""
 FINGER = "finger"
 """The gripper's joint: 0 m closed, 0.04 m open."""
+FINGER_BOUNDS = (0.0, 0.04, 0.1)
+"""Its lower and upper position [m] and its velocity limit [m/s]."""
 
 _AXES = {"slide_x": "1 0 0", "slide_y": "0 1 0", "slide_z": "0 0 1", "yaw": "0 0 1", "pitch": "0 1 0", "roll": "1 0 0"}
 _LOWER = np.array([-1.0, -1.0, -1.0, -3.0, -1.4, -3.0])
@@ -98,31 +104,39 @@ def gantry_profile() -> RobotProfile:
 
 
 class FakeDriver:
-    """Follows the protocol `RobotDriver`; a command is reached at the next read."""
+    """Follows the protocol `RobotDriver`; joints go straight to where they are sent, by the clock."""
 
     def __init__(self, config: FakeDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
         self._options = config or FakeDriverOptions()
         self._profile = profile
         self._topics = topics
-        self._positions: dict[str, float] | None = None
+        self._start: dict[str, float] | None = None
+        self._goal: dict[str, float] = {}
+        self._begun_s = self._duration_s = 0.0
 
     def open(self) -> None:
         """Stand at home."""
         home = self._profile.home_rad
         gripper = self._profile.gripper
         assert home is not None
-        self._positions = dict(zip(self._profile.arm_joints, home.tolist(), strict=True))
+        here = dict(zip(self._profile.arm_joints, home.tolist(), strict=True))
         if gripper is not None:
-            self._positions[gripper.joint] = gripper.to_position(float(self._options.start_open))
+            here[gripper.joint] = gripper.to_position(float(self._options.start_open))
+        self._move(here, here, 0.0)
 
-    def _opened(self) -> dict[str, float]:
-        if self._positions is None:
+    def _move(self, start: dict[str, float], goal: dict[str, float], duration_s: float) -> None:
+        self._start, self._goal, self._begun_s, self._duration_s = start, goal, time.monotonic(), duration_s
+
+    def _positions(self) -> dict[str, float]:
+        if self._start is None:
             raise StateError("The fake robot is not open; call open() first.")
-        return self._positions
+        passed_s = time.monotonic() - self._begun_s
+        share = 1.0 if passed_s >= self._duration_s else passed_s / self._duration_s
+        return {name: start + share * (self._goal[name] - start) for name, start in self._start.items()}
 
     def read(self) -> RobotState:
-        """The positions last sent; raises StateError unless open."""
-        positions = self._opened()
+        """Where the joints are now; raises StateError unless open."""
+        positions = self._positions()
         gripper = self._profile.gripper
         return RobotState(
             joints=JointSample(
@@ -135,32 +149,40 @@ class FakeDriver:
         )
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Go there at once; raises InvalidInputError for unknown joints, NaN and positions outside the limits."""
-        positions = self._opened()
+        """Start moving, for longer than asked where the velocity limits demand it.
+
+        Raises:
+            InvalidInputError: an unknown joint, a position that is not finite or outside the limits, no duration.
+        """
+        here = self._positions()
         limits = self._profile.limits
         assert limits is not None
         if command.position.shape != (len(command.names),):
             raise InvalidInputError(f"A command names {len(command.names)} joints, got {command.position.shape}.")
-        bounds = {
-            name: (float(low), float(high))
-            for name, low, high in zip(self._profile.arm_joints, limits.lower, limits.upper, strict=True)
-        }
+        if not (math.isfinite(command.duration_s) and command.duration_s > 0):
+            raise InvalidInputError(f"A command lasts {command.duration_s} s, expected more than 0.")
+        rows = zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True)
+        bounds = dict(zip(self._profile.arm_joints, rows, strict=True))
+        duration_s = command.duration_s
         for name, position in zip(command.names, command.position.tolist(), strict=True):
-            if name not in positions:
-                raise InvalidInputError(f"The robot has no joint {name!r}, expected some of {', '.join(positions)}.")
-            low, high = bounds.get(name, (0.0, 0.04))
+            if name not in here:
+                raise InvalidInputError(f"The robot has no joint {name!r}, expected some of {', '.join(here)}.")
+            low, high, velocity = bounds.get(name, FINGER_BOUNDS)
             if not low <= position <= high:
                 raise InvalidInputError(f"Joint {name!r} is sent to {position}, expected {low:g} .. {high:g}.")
-        positions.update(zip(command.names, command.position.tolist(), strict=True))
-        return command
+            duration_s = max(duration_s, abs(position - here[name]) / velocity)
+        goal = {**here, **dict(zip(command.names, command.position.tolist(), strict=True))}
+        self._move(here, goal, duration_s)
+        return replace(command, duration_s=duration_s)
 
     def hold(self) -> None:
-        """Stay; the fake never moves by itself."""
-        self._opened()
+        """Stop where the joints are."""
+        here = self._positions()
+        self._move(here, here, 0.0)
 
     def close(self) -> None:
         """Forget where it stands."""
-        self._positions = None
+        self._start = None
 
 
 FAKE_ROBOT = RobotSpec(
@@ -170,7 +192,7 @@ FAKE_ROBOT = RobotSpec(
     drivers=(
         DriverSpec(
             name="simulated",
-            summary="Reaches every command at once.",
+            summary="Moves in memory, by the clock.",
             target="roboneuron.testing.fakes.robot:FakeDriver",
             config="roboneuron.testing.fakes.robot:FakeDriverOptions",
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -16,13 +16,14 @@ class MemoryTopics:
 
     Args:
         now_ns: clock for stamps; the system's wall clock when None.
+        history: how many messages are kept per topic.
     """
 
-    def __init__(self, now_ns: Callable[[], int] | None = None) -> None:
+    def __init__(self, now_ns: Callable[[], int] | None = None, *, history: int = 100_000) -> None:
         self._now_ns = now_ns or time.time_ns
         self._subscribers: defaultdict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self._advertised: list[tuple[str, type]] = []
-        self._published: defaultdict[str, list[object]] = defaultdict(list)
+        self._published: defaultdict[str, deque[object]] = defaultdict(lambda: deque(maxlen=history))
         self._lock = threading.Lock()
 
     def subscribe(

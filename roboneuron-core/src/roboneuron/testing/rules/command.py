@@ -21,7 +21,7 @@ def _check_protocol(case: CommandCase) -> None:
 
 
 def _check_pure(case: CommandCase) -> None:
-    check_pure_constructor(case, case.build)
+    check_pure_constructor(case)
 
 
 def _check_help(case: CommandCase) -> None:

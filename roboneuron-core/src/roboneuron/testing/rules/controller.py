@@ -1,126 +1,103 @@
-"""Rules of controllers: small actions arrive or are refused with a truth, bad numbers hold, nothing is remembered."""
+"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits and speeds are kept."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, Pose, RobotProfile, apply_delta
-from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
-from roboneuron.errors import StateError, UnsafeError
+from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
+from roboneuron.errors import RoboNeuronError, UnsafeError
 from roboneuron.testing.cases import ControllerCase
-from roboneuron.testing.effects import expect_refusal
-from roboneuron.testing.lifecycle import (
-    attempt,
-    check_close_before_start,
-    check_close_twice_and_release,
-    check_protocol,
-    check_pure_constructor,
-    started,
+from roboneuron.testing.commands import (
+    TRUTH_M,
+    TRUTH_RAD,
+    arm_sample,
+    by_name,
+    check_arrives,
+    check_command,
+    distance,
+    home_sample,
+    make_action,
+    postures,
 )
-from roboneuron.testing.rule import Rule, Violation, require
+from roboneuron.testing.effects import check_quick, expect_refusal
+from roboneuron.testing.kinematics import place_tcp
+from roboneuron.testing.lifecycle import Lifecycle
+from roboneuron.testing.rule import NotApplicable, Rule, Violation, require
 
 STEP_S = 0.1
-"""Time the rules give each action."""
-TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
-"""How far a command may end from what its residual says: the residual is compared, so this only covers rounding and
-solvers that stop early."""
-STILL = 2e-3
+"""Time the rules give an action."""
+SPEED_M_S, SPEED_RAD_S = 0.1, 0.3
+"""Speeds of the TCP that every arm can follow."""
+RESIDUAL_M, RESIDUAL_RAD = 5e-3, 0.05
+"""Largest residual of a small step: what ends farther from its target is to be refused."""
+STILL = 1e-3
 """How far a joint may move for an action of zero [rad or m]."""
 MAX_STEP = 0.3
 """Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
+COMPUTE_LIMIT_S = 0.05
+"""Bound on the quickest of some `compute`: half of the time between two actions."""
 
 
-@contextmanager
-def _loaded(case: ControllerCase) -> Iterator[Controller]:
-    with started(case, case.build, lambda controller: controller.load()) as controller:
-        yield controller
+def _load(case: ControllerCase, controller: Controller) -> None:
+    controller.load()
 
 
-def home_sample(profile: RobotProfile) -> JointSample:
-    """The joints of `profile` at home, the gripper's included, open."""
-    if profile.home_rad is None or profile.limits is None:
-        raise Violation("the case's profile has no home posture or no limits")
-    names, position = profile.arm_joints, profile.home_rad
-    if profile.gripper is not None:
-        names, position = (*names, profile.gripper.joint), np.append(position, profile.gripper.open_position)
-    return JointSample(names=names, position=position, velocity=np.zeros(len(names)), stamp_ns=1)
+LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
+    subject="controller",
+    protocol=Controller,
+    begin="load",
+    start=_load,
+    uses={
+        "compute": lambda case, controller: controller.compute(make_action(0.001), home_sample(case.robot()), STEP_S),
+        "forward": lambda case, controller: controller.forward(home_sample(case.robot())),
+    },
+)
+"""How a controller is started and used."""
+_loaded = LIFECYCLE.running
 
 
-def _action(*values: float) -> Action:
-    padded = np.zeros(7)
-    padded[: len(values)] = values
-    padded[6] = 1.0
-    return Action.from_vector(padded)
-
-
-def _check_command(command: JointCommand, profile: RobotProfile) -> None:
-    """Names, sizes, finiteness, limits and duration."""
-    known = set(profile.arm_joints) | ({profile.gripper.joint} if profile.gripper else set())
-    foreign = [n for n in command.names if n not in known]
-    require(not foreign, f"a command names joints that the profile lacks: {', '.join(foreign)}")
-    require(command.position.shape == (len(command.names),), f"a command has positions {command.position.shape}")
-    require(bool(np.isfinite(command.position).all()), "a command holds a position that is not finite")
-    require(command.duration_s > 0, f"a command lasts {command.duration_s} s, expected more than 0")
-    limits = profile.limits
-    assert limits is not None
-    sent = dict(zip(command.names, command.position.tolist(), strict=True))
-    for name, low, high in zip(profile.arm_joints, limits.lower.tolist(), limits.upper.tolist(), strict=True):
-        if name in sent:
-            require(
-                low <= sent[name] <= high, f"{name} is sent to {sent[name]:.4f}, its limits are {low:g} .. {high:g}"
-            )
-
-
-def _reached(controller: Controller, command: JointCommand, start: JointSample) -> Pose:
-    """Where the TCP is when the command has been carried out."""
-    positions = dict(zip(start.names, start.position.tolist(), strict=True))
-    positions.update(zip(command.names, command.position.tolist(), strict=True))
-    sample = replace(start, names=tuple(positions), position=np.array(list(positions.values())), velocity=None)
-    return controller.forward(sample)
-
-
-def _distance(a: Pose, b: Pose) -> tuple[float, float]:
-    turn = matrix_from_quaternion(a.quaternion_xyzw).T @ matrix_from_quaternion(b.quaternion_xyzw)
-    return float(np.linalg.norm(a.position_m - b.position_m)), float(np.linalg.norm(rotvec_from_matrix(turn)))
-
-
-def _check_protocol(case: ControllerCase) -> None:
-    check_protocol(attempt(case, case.build), Controller)
-
-
-def _check_pure(case: ControllerCase) -> None:
-    check_pure_constructor(case, case.build)
-
-
-def _check_close_first(case: ControllerCase) -> None:
-    check_close_before_start(case, case.build)
-
-
-def _check_release(case: ControllerCase) -> None:
-    check_close_twice_and_release(case, case.build, lambda controller: controller.load())
-
-
-def _check_compute_first(case: ControllerCase) -> None:
-    controller = attempt(case, case.build)
-    joints = home_sample(case.robot())
-    try:
-        expect_refusal(lambda: controller.compute(_action(), joints, STEP_S), "compute before load", StateError)
-    finally:
-        controller.close()
+def _compute(
+    controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S
+) -> JointCommand | Hold:
+    result = controller.compute(action, joints, step_s)
+    require(isinstance(result, (JointCommand, Hold)), f"compute returned {type(result).__name__}")
+    if isinstance(result, Hold):
+        require(bool(result.code and result.reason.strip()), "a Hold has no code or no reason")
+    return result
 
 
 def _check_forward(case: ControllerCase) -> None:
-    joints = replace(home_sample(case.robot()), stamp_ns=123)
+    profile = case.robot()
     with _loaded(case) as controller:
-        pose = controller.forward(joints)
-    require(bool(np.isfinite(pose.position_m).all()) and pose.position_m.shape == (3,), f"forward: {pose.position_m}")
-    norm = float(np.linalg.norm(pose.quaternion_xyzw))
-    require(abs(norm - 1) < 1e-6, f"forward returned a quaternion of length {norm:g}, expected 1")
-    require(pose.stamp_ns == 123, f"forward stamped the pose {pose.stamp_ns}, the joints are stamped 123")
+        for posture in postures(profile):
+            pose = controller.forward(replace(posture, stamp_ns=123))
+            require(
+                bool(np.isfinite(pose.position_m).all()) and pose.position_m.shape == (3,),
+                f"forward: {pose.position_m}",
+            )
+            norm = float(np.linalg.norm(pose.quaternion_xyzw))
+            require(abs(norm - 1) < 1e-6, f"forward returned a quaternion of length {norm:g}, expected 1")
+            require(pose.stamp_ns == 123, f"forward stamped the pose {pose.stamp_ns}, the joints are stamped 123")
+            off_m, off_rad = distance(pose, place_tcp(profile, by_name(posture)))
+            require(
+                off_m <= TRUTH_M and off_rad <= TRUTH_RAD,
+                f"forward is {off_m:.4f} m and {off_rad:.4f} rad from where the URDF puts {profile.tcp_link!r} "
+                f"in {profile.base_link!r}",
+            )
+
+
+def _damaged(joints: JointSample) -> dict[str, JointSample]:
+    damaged = {"a joint missing": replace(joints, names=joints.names[1:], position=joints.position[1:], velocity=None)}
+    for index in (0, 1):
+        for number in (np.nan, np.inf):
+            position = joints.position.copy()
+            position[index] = number
+            damaged[f"joint {joints.names[index]!r} of {number}"] = replace(joints, position=position)
+    return damaged
 
 
 def _check_forward_bad(case: ControllerCase) -> None:
@@ -130,163 +107,253 @@ def _check_forward_bad(case: ControllerCase) -> None:
             expect_refusal(lambda j=bad: controller.forward(j), f"forward with {name}", UnsafeError)  # type: ignore[misc]
 
 
-def _damaged(joints: JointSample) -> dict[str, JointSample]:
-    nan = joints.position.copy()
-    nan[0] = np.nan
-    return {
-        "a joint of NaN": replace(joints, position=nan),
-        "a joint missing": replace(joints, names=joints.names[1:], position=joints.position[1:], velocity=None),
-    }
-
-
 def _check_small_step(case: ControllerCase) -> None:
     profile = case.robot()
-    joints = home_sample(profile)
-    steps = [_action(*(0.002 * np.eye(6)[axis])) for axis in range(3)]
-    steps += [_action(*(0.01 * np.eye(6)[axis])) for axis in range(3, 6)]
     with _loaded(case) as controller:
-        start = controller.forward(joints)
-        for action in steps:
-            command = controller.compute(action, joints, STEP_S)
-            if isinstance(command, Hold):
-                raise Violation(f"a step of {action.to_vector()[:6]} from home was refused: {command.reason}")
-            _check_command(command, profile)
-            error_m, error_rad = _distance(_reached(controller, command, joints), apply_delta(start, action))
-            require(
-                error_m <= command.residual_m + TRUTH_M and error_rad <= command.residual_rad + TRUTH_RAD,
-                f"a step of {action.to_vector()[:6]} ends {error_m:.5f} m and {error_rad:.4f} rad from its target, "
-                f"the command says {command.residual_m:.5f} m and {command.residual_rad:.4f} rad",
-            )
+        for joints in postures(profile):
+            for step_s in (0.05, 0.2):
+                sizes = np.repeat([SPEED_M_S * step_s, SPEED_RAD_S * step_s], 3)
+                for axis in range(6):
+                    action = make_action(*(sizes * np.eye(6)[axis]))
+                    command = _compute(controller, action, joints, step_s)
+                    if isinstance(command, Hold):
+                        raise Violation(f"a step of {action.to_vector()[:6]} was refused: {command.reason}")
+                    check_command(command, joints, profile, step_s)
+                    check_arrives(command, action, joints, profile)
+                    far = command.residual_m > RESIDUAL_M or command.residual_rad > RESIDUAL_RAD
+                    require(not far, f"a small step leaves {command.residual_m:g} m and {command.residual_rad:g} rad")
 
 
 def _check_still(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     with _loaded(case) as controller:
-        command = controller.compute(_action(), joints, STEP_S)
+        command = _compute(controller, make_action(), joints)
     if isinstance(command, Hold):
         return
-    measured = dict(zip(joints.names, joints.position.tolist(), strict=True))
-    for name, position in zip(command.names, command.position.tolist(), strict=True):
+    measured = by_name(joints)
+    for name, position in by_name(command).items():
         moved = abs(position - measured[name])
         require(moved <= STILL, f"an action of zero moves {name} by {moved:.4f}")
 
 
 def _check_bad_numbers(case: ControllerCase) -> None:
-    joints = home_sample(case.robot())
-    nan = Action(translation_m=np.full(3, np.nan), rotation_rad=np.zeros(3), gripper_open=1.0)
+    profile = case.robot()
+    joints = home_sample(profile)
+    bad = [(name, make_action(0.001), sample, STEP_S) for name, sample in _damaged(joints).items()]
+    for number in (np.nan, np.inf):
+        wrong = np.full(3, number)
+        bad.append((f"a translation of {number}", replace(make_action(), translation_m=wrong), joints, STEP_S))
+        bad.append((f"a rotation of {number}", replace(make_action(), rotation_rad=wrong), joints, STEP_S))
+        bad.append((f"an opening of {number}", replace(make_action(), gripper_open=float(number)), joints, STEP_S))
+    bad += [(f"step_s {step_s:g}", make_action(0.001), joints, step_s) for step_s in (0.0, -0.1, float("nan"))]
     with _loaded(case) as controller:
-        results = {name: controller.compute(_action(0.001), bad, STEP_S) for name, bad in _damaged(joints).items()}
-        results["an action of NaN"] = controller.compute(nan, joints, STEP_S)
-    for name, result in results.items():
-        require(isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold")
-        require(isinstance(result, Hold) and bool(result.code and result.reason), f"{name}: a Hold without reason")
+        for name, action, sample, step_s in bad:
+            try:
+                result = _compute(controller, action, sample, step_s)
+            except Violation:
+                raise
+            except Exception as error:
+                raise Violation(f"compute with {name} raised {type(error).__name__}: {error}") from error
+            require(isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold")
+        numb = replace(joints, velocity=np.full(len(joints.names), np.nan))
+        result = _compute(controller, make_action(0.001), numb)
+    if isinstance(result, JointCommand):
+        check_command(result, joints, profile, STEP_S)
 
 
 def _check_far(case: ControllerCase) -> None:
     profile = case.robot()
+    with _loaded(case) as controller:
+        for values in ((5.0,), (0, 0, -5.0), (0, -2.0), (0, 0, 0, 3.0, 0, 0)):
+            joints, action = home_sample(profile), make_action(*values)
+            result = _compute(controller, action, joints)
+            if isinstance(result, Hold):
+                continue
+            require(not any(values[:3]), f"a target {values} m away was not refused")
+            check_command(result, joints, profile, STEP_S)
+            check_arrives(result, action, joints, profile)
+            step = max(abs(p - by_name(joints)[n]) for n, p in by_name(result).items() if n in profile.arm_joints)
+            require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
+
+
+def _check_limits(case: ControllerCase) -> None:
+    """From postures with one joint at its limit, steps in every direction leave no limit and tell no lie."""
+    profile = case.robot()
+    home = home_sample(profile)
+    limits, count = profile.limits, len(profile.arm_joints)
+    assert limits is not None
+    with _loaded(case) as controller:
+        for joint in range(count):
+            for bound, inward in ((limits.lower[joint], 1e-4), (limits.upper[joint], -1e-4)):
+                arm = home.position[:count].copy()
+                arm[joint] = bound + inward
+                joints = arm_sample(profile, arm)
+                for axis in range(6):
+                    for sign in (1, -1):
+                        action = make_action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
+                        result = _compute(controller, action, joints)
+                        if isinstance(result, JointCommand):
+                            check_command(result, joints, profile, STEP_S)
+                            check_arrives(result, action, joints, profile)
+
+
+def _check_fast(case: ControllerCase) -> None:
+    profile = case.robot()
     joints = home_sample(profile)
     with _loaded(case) as controller:
-        for values in ((5.0,), (0, 0, -5.0), (0, 0, 0, 3.0, 0, 0)):
-            result = controller.compute(_action(*values), joints, STEP_S)
+        for axis in range(6):
+            action, step_s = make_action(*(0.1 * np.eye(6)[axis])), 0.01
+            result = _compute(controller, action, joints, step_s)
             if isinstance(result, JointCommand):
-                _check_command(result, profile)
-                step = float(
-                    np.abs(_arm(result, profile) - home_sample(profile).position[: len(profile.arm_joints)]).max()
-                )
-                require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
+                check_command(result, joints, profile, step_s)
 
 
-def _arm(command: JointCommand, profile: RobotProfile) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    home = home_sample(profile)
-    sent = dict(zip(home.names, home.position.tolist(), strict=True))
-    sent.update(zip(command.names, command.position.tolist(), strict=True))
-    return np.array([sent[n] for n in profile.arm_joints])
+def _check_gripper(case: ControllerCase) -> None:
+    profile = case.robot()
+    gripper = profile.gripper
+    if gripper is None:
+        raise NotApplicable("the robot has no gripper")
+    with _loaded(case) as controller:
+        for opening in (0.0, 0.3, 1.0):
+            result = _compute(controller, make_action(opening=opening), home_sample(profile))
+            if isinstance(result, Hold):
+                raise Violation(f"an action that only sets the gripper to {opening:g} was refused: {result.reason}")
+            sent = by_name(result).get(gripper.joint)
+            wanted = gripper.to_position(opening)
+            good = sent is not None and abs(sent - wanted) <= 0.01 * abs(
+                gripper.open_position - gripper.closed_position
+            )
+            require(good, f"an opening of {opening:g} sends {gripper.joint!r} to {sent}, expected {wanted:g}")
+
+
+def _check_by_name(case: ControllerCase) -> None:
+    profile = case.robot()
+    joints = home_sample(profile)
+    order = list(reversed(range(len(joints.names))))
+    more = (*(joints.names[i] for i in order), "another_joint")
+    mixed = JointSample(
+        names=more,
+        position=np.append(joints.position[order], 9.0),
+        velocity=np.zeros(len(more)),
+        stamp_ns=joints.stamp_ns,
+    )
+    action = make_action(0.003, -0.002, 0.001)
+    with _loaded(case) as controller:
+        straight, turned = controller.forward(joints), controller.forward(mixed)
+        results = [_compute(controller, action, sample) for sample in (joints, mixed)]
+    require(max(distance(straight, turned)) <= 1e-6, "forward depends on the order of the measured joints")
+    require(type(results[0]) is type(results[1]), "compute depends on the order of the measured joints")
+    first, second = ({} if isinstance(r, Hold) else by_name(r) for r in results)
+    same = first.keys() == second.keys() and all(abs(first[n] - second[n]) <= 1e-9 for n in first)
+    require(same, "compute depends on the order of the measured joints")
+
+
+def _check_quick(case: ControllerCase) -> None:
+    joints = home_sample(case.robot())
+    with _loaded(case) as controller:
+        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(make_action(0.002), joints, STEP_S), "compute", tries=7)
+        check_quick(COMPUTE_LIMIT_S, lambda: controller.forward(joints), "forward", tries=7)
 
 
 def _check_memoryless(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     kept = joints.position.copy()
-    action = _action(0.003, -0.002, 0.001)
-    with _loaded(case) as controller:
-        first = controller.compute(action, joints, STEP_S)
-        controller.compute(_action(-0.004, 0.001, 0.002), joints, STEP_S)
-        again = controller.compute(action, joints, STEP_S)
+    action = make_action(0.003, -0.002, 0.001)
+    results: list[Any] = []
+    for _ in range(2):
+        with _loaded(case) as controller:
+            results.append(_compute(controller, action, joints))
+            _compute(controller, make_action(-0.004, 0.001, 0.002), joints)
+            _compute(controller, make_action(5.0), joints)
+            results.append(_compute(controller, action, joints))
     require(bool(np.array_equal(kept, joints.position)), "compute wrote into the measured joints")
-    require(type(first) is type(again), "the same input led to a command once and to Hold once")
-    if isinstance(first, JointCommand) and isinstance(again, JointCommand):
-        drift = float(np.abs(first.position - again.position).max())
-        require(drift <= 1e-9, f"the same input led to commands that differ by {drift:g}")
+    first = results[0]
+    for again in results[1:]:
+        require(type(first) is type(again), "the same input led to a command once and to Hold once")
+        if isinstance(first, JointCommand):
+            require(first.names == again.names, "the same input led to commands of other joints")
+            drift = float(np.abs(first.position - again.position).max())
+            require(drift <= 1e-9, f"the same input led to commands that differ by {drift:g}")
+
+
+def _check_bad_profile(case: ControllerCase) -> None:
+    profile = case.robot()
+    for what, bad in {
+        "a TCP link that the URDF lacks": replace(profile, tcp_link="no_such_link"),
+        "joints that the URDF lacks": replace(profile, arm_joints=("no_such_joint", *profile.arm_joints[1:])),
+        "a URDF that is no XML": replace(profile, urdf="<robot"),
+    }.items():
+        odd = replace(case, profile=lambda p=bad: p)  # type: ignore[misc]
+
+        def load(case: ControllerCase = odd) -> None:
+            controller = LIFECYCLE.built(case)
+            try:
+                controller.load()
+            finally:
+                controller.close()
+
+        expect_refusal(load, f"load with {what}", RoboNeuronError)
 
 
 _SOURCE = "roboneuron.contract.protocols.Controller"
 
+
+def _rule(
+    name: str, text: str, check: Callable[[ControllerCase], None], source: str = f"{_SOURCE}.compute"
+) -> Rule[ControllerCase]:
+    return Rule(id=f"controller/{name}", text=text, source=source, check=check)
+
+
 RULES: tuple[Rule[ControllerCase], ...] = (
-    Rule(id="controller/protocol", text="It has the methods of Controller.", source=_SOURCE, check=_check_protocol),
-    Rule(
-        id="controller/constructor-pure",
-        text="The constructor opens no file, starts no thread or process and computes nothing that takes time.",
-        source="roboneuron.contract.protocols",
-        check=_check_pure,
+    *LIFECYCLE.rules(),
+    _rule(
+        "forward-is-a-pose",
+        "`forward` returns the pose that the URDF gives, a unit quaternion and the stamp of the joints.",
+        _check_forward,
+        f"{_SOURCE}.forward",
     ),
-    Rule(
-        id="controller/close-before-load",
-        text="`close` may be called twice and before `load`.",
-        source=f"{_SOURCE}.close",
-        check=_check_close_first,
+    _rule(
+        "forward-refuses-bad-joints",
+        "`forward` raises UnsafeError for joints that are missing or not finite.",
+        _check_forward_bad,
+        f"{_SOURCE}.forward",
     ),
-    Rule(
-        id="controller/close-releases",
-        text="After `load`, `close` may be called twice and leaves no thread or process behind.",
-        source=f"{_SOURCE}.close",
-        check=_check_release,
+    _rule(
+        "small-steps-arrive",
+        "A slow step from home or nearby yields a command within limits that ends where its residual says.",
+        _check_small_step,
     ),
-    Rule(
-        id="controller/compute-before-load-refused",
-        text="`compute` before `load` is a StateError.",
-        source=f"{_SOURCE}.compute",
-        check=_check_compute_first,
+    _rule("zero-stands-still", "An action of zero moves no joint.", _check_still, "roboneuron.contract.action"),
+    _rule(
+        "bad-numbers-hold",
+        "`compute` holds, and says why, for numbers that are missing, not finite or no time; it never raises.",
+        _check_bad_numbers,
     ),
-    Rule(
-        id="controller/forward-is-a-pose",
-        text="`forward` returns a finite pose with a unit quaternion and the stamp of the joints.",
-        source=f"{_SOURCE}.forward",
-        check=_check_forward,
+    _rule(
+        "far-targets-harmless",
+        "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad per joint.",
+        _check_far,
     ),
-    Rule(
-        id="controller/forward-refuses-bad-joints",
-        text="`forward` raises UnsafeError for joints that are missing or not finite.",
-        source=f"{_SOURCE}.forward",
-        check=_check_forward_bad,
+    _rule("limits-kept", "Near a joint limit no command leaves it, and its residual is true.", _check_limits),
+    _rule(
+        "velocity-kept",
+        "A step too fast for the joints' velocity limits is refused or given more time.",
+        _check_fast,
+        "roboneuron.contract.profile.JointLimits",
     ),
-    Rule(
-        id="controller/small-steps-arrive",
-        text="A step of 2 mm or 10 mrad from home yields a command within limits that ends where its residual says.",
-        source=f"{_SOURCE}.compute",
-        check=_check_small_step,
+    _rule(
+        "gripper-commanded",
+        "The gripper's joint is sent to the position of the action's opening.",
+        _check_gripper,
+        "roboneuron.contract.profile.GripperProfile",
     ),
-    Rule(
-        id="controller/zero-stands-still",
-        text="An action of zero moves no joint.",
-        source="roboneuron.contract.action",
-        check=_check_still,
+    _rule("joints-by-name", "Measured joints are taken by name, in any order, others left out.", _check_by_name),
+    _rule("compute-quick", "`compute` and `forward` take a fraction of a step.", _check_quick),
+    _rule(
+        "memoryless",
+        "The same action and joints yield the same command, from any instance, and the input is not written to.",
+        _check_memoryless,
     ),
-    Rule(
-        id="controller/bad-numbers-hold",
-        text="`compute` holds, and says why, for joints or actions that are missing or not finite; it never raises.",
-        source=f"{_SOURCE}.compute",
-        check=_check_bad_numbers,
-    ),
-    Rule(
-        id="controller/far-targets-harmless",
-        text="A target out of reach is refused, or the command stays within the limits and 0.3 rad per joint.",
-        source=f"{_SOURCE}.compute",
-        check=_check_far,
-    ),
-    Rule(
-        id="controller/memoryless",
-        text="The same action and joints yield the same command, and the input is not written to.",
-        source=f"{_SOURCE}.compute",
-        check=_check_memoryless,
-    ),
+    _rule("bad-profile-refused", "A profile that makes no arm is refused.", _check_bad_profile, f"{_SOURCE}.load"),
 )
 """Rules of controllers."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+from pydantic import ValidationError
+
 from roboneuron.plugins.descriptor import check_spec, is_compatible
-from roboneuron.plugins.loading import load_options_model, load_target
+from roboneuron.plugins.loading import load_attribute, load_options_model, load_target
 from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
 from roboneuron.testing.cases import Case
 from roboneuron.testing.rule import NotApplicable, Rule, Violation, require
@@ -67,6 +69,29 @@ def _check_option_descriptions(case: AnyCase) -> None:
         require(not bare, f"{model.__name__} has options without description: {', '.join(bare)}")
 
 
+def _check_defaults(case: AnyCase) -> None:
+    models = [model for spec in _described(case) if (model := load_options_model(spec)) is not None]
+    if not models:
+        raise NotApplicable("there are no options")
+    for model in models:
+        if any(option.is_required() for option in model.model_fields.values()):
+            continue  # there is nothing to try without the user's own values
+        defaults = {name: option.get_default(call_default_factory=True) for name, option in model.model_fields.items()}
+        try:
+            model.model_validate(defaults)
+        except ValidationError as error:
+            # A problem without a place is one of options that belong together: then the user must set some.
+            wrong = [f"{p['loc'][0]}: {p['msg']}" for p in error.errors() if p["loc"]]
+            require(not wrong, f"{model.__name__} refuses its own defaults: {'; '.join(wrong)}")
+
+
+def _check_case(case: AnyCase) -> None:
+    if case.spec.case is None:
+        raise NotApplicable("it names no case")
+    function = load_attribute(case.spec.case, f"`case` of {case.spec.name!r}")
+    require(callable(function), f"`case` {case.spec.case!r} names {function!r}, expected a function")
+
+
 RULES: tuple[Rule[AnyCase], ...] = (
     Rule(
         id="descriptor/well-formed",
@@ -103,6 +128,18 @@ RULES: tuple[Rule[AnyCase], ...] = (
         text="Every option has a description; users and agents read it.",
         source="roboneuron.plugins.specs.Spec",
         check=_check_option_descriptions,
+    ),
+    Rule(
+        id="descriptor/options-default",
+        text="The defaults of the options keep their own bounds.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_defaults,
+    ),
+    Rule(
+        id="descriptor/case-found",
+        text="`case`, if any, can be imported and called.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_case,
     ),
 )
 """Rules that apply to every kind."""

@@ -62,7 +62,7 @@ def _check_class(case: FeatureCase) -> None:
 
 
 def _check_pure(case: FeatureCase) -> None:
-    check_pure_constructor(case, case.build)
+    check_pure_constructor(case)
 
 
 def _check_defaults(case: FeatureCase) -> None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from importlib.metadata import distributions
+import functools
+import re
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
 
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.markers import PROJECT
+from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
 from roboneuron.testing.cases import PackageCase
 from roboneuron.testing.distribution import (
     find_distribution,
     find_entry_points,
     find_package_directory,
     header,
+    hosted_directories,
     imported_modules,
     normalise,
     probe,
@@ -19,10 +26,8 @@ from roboneuron.testing.distribution import (
 )
 from roboneuron.testing.rule import Rule, require
 
-HEAVY = ("numpy", "torch", "rclpy", "mcp", "pydantic")
-"""What listing plugins must not import."""
-CORE_ROOMS = ("server", "supervisor", "modules", "cli")
-"""Packages of the core that no plugin may import."""
+PUBLIC = ("contract", "errors", "plugins", "testing")
+"""Packages of the core that plugins import."""
 CORE = "roboneuron-core"
 """Distribution that every plugin needs."""
 
@@ -45,8 +50,16 @@ def _check_hooks(case: PackageCase) -> None:
 
 def _check_light(case: PackageCase) -> None:
     for point in find_entry_points(case):
-        heavy = [name for name in HEAVY if name in probe(case, point.module).loaded]
+        own = {point.module.partition(".")[0], PROJECT, "pluggy"} | sys.stdlib_module_names
+        tops = {name.partition(".")[0] for name in probe(case, point.module).loaded}
+        heavy = sorted(name for name in tops - own if not name.startswith("__"))
         require(not heavy, f"importing {point.module} imports {', '.join(heavy)}")
+
+
+def _check_pure(case: PackageCase) -> None:
+    for point in find_entry_points(case):
+        effects = probe(case, point.module).effects
+        require(not effects, f"importing {point.module} has effects: {'; '.join(effects)}")
 
 
 def _check_typed(case: PackageCase) -> None:
@@ -67,23 +80,33 @@ def _check_summary(case: PackageCase) -> None:
 def _check_licence(case: PackageCase) -> None:
     named = header(case, "License-Expression") or header(case, "License")
     require(bool(named), "the metadata name no licence")
-    require(bool(header(case, "License-File")), "the distribution holds no licence file")
+    found = find_distribution(case)
+    files = [str(name) for name in found.metadata.get_all("License-File") or ()]
+    require(bool(files), "the distribution holds no licence file")
+    texts = [found.read_text(f"licenses/{name}") or found.read_text(name) for name in files]
+    require(all(text and text.strip() for text in texts), f"the distribution lacks the text of {', '.join(files)}")
 
 
 def _check_python(case: PackageCase) -> None:
-    require(bool(header(case, "Requires-Python")), "the metadata hold no Requires-Python")
+    text = header(case, "Requires-Python")
+    require(bool(text), "the metadata hold no Requires-Python")
+    require(">" in text, f"Requires-Python is {text!r}, expected a lower bound such as >=3.11")
 
 
 def _check_core(case: PackageCase) -> None:
     require(CORE in requirements(case), f"the distribution does not require {CORE}")
+    lines = [line for line in find_distribution(case).requires or () if normalise(line).startswith(CORE)]
+    plain = [line for line in lines if "extra ==" not in line]
+    require(bool(plain), f"the distribution requires {CORE} only in an extra")
+    require(any(">" in line and "<" in line for line in plain), f"{plain[0]!r} has no lower or no upper bound")
 
 
 def _check_direction(case: PackageCase) -> None:
-    forbidden = tuple(f"{PROJECT}.{room}" for room in CORE_ROOMS)
     for path in source_files(case):
         for name, line in imported_modules(path):
-            inside = any(name == room or name.startswith(f"{room}.") for room in forbidden)
-            require(not inside, f"{path.name}:{line} imports {name}; plugins import contract, errors, plugins, testing")
+            top, _, inner = name.partition(".")
+            public = top != PROJECT or inner.partition(".")[0] in ("", *PUBLIC)
+            require(public, f"{path.name}:{line} imports {name}; plugins import {', '.join(PUBLIC)}")
 
 
 def _check_siblings(case: PackageCase) -> None:
@@ -99,6 +122,59 @@ def _check_siblings(case: PackageCase) -> None:
         for name, line in imported_modules(path):
             owner = owners.get(name.partition(".")[0])
             require(owner is None or owner in declared, f"{path.name}:{line} imports {name} of {owner}, not declared")
+
+
+def _check_imports_declared(case: PackageCase) -> None:
+    """What is imported comes with what is declared, directly or by way of it, or with a descriptor's `requires`.
+
+    A subpackage that another program loads by an entry point of its own runs with what that program has installed.
+    """
+    owners = packages_distributions()
+    own = {point.module.partition(".")[0] for point in find_entry_points(case)}
+    declared = requirements(case) | {normalise(case.distribution)}
+    reachable = set(declared)
+    for name in (*declared, CORE):
+        reachable |= _needs(name)
+    promised = {r.module for spec in _specs(case) for r in spec.requires}
+    hosted = tuple(hosted_directories(case))
+    for path in source_files(case):
+        if any(path.is_relative_to(directory) for directory in hosted):
+            continue
+        for name, line in imported_modules(path):
+            top = name.partition(".")[0]
+            if top in own or top in sys.stdlib_module_names or top in promised or top == PROJECT:
+                continue
+            of = {normalise(owner) for owner in owners.get(top, ())}
+            require(
+                not of or bool(of & reachable), f"{path.name}:{line} imports {top} of {', '.join(of)}, not declared"
+            )
+
+
+@functools.cache
+def _needs(name: str) -> frozenset[str]:
+    """Normalised names of all that an installed distribution requires without extras, directly or not."""
+    found: set[str] = set()
+    waiting = [name]
+    while waiting:
+        try:
+            lines = distribution(waiting.pop()).requires or ()
+        except PackageNotFoundError:
+            continue
+        for line in lines:
+            needed = normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0])
+            if "extra ==" not in line and needed not in found:
+                found.add(needed)
+                waiting.append(needed)
+    return frozenset(found)
+
+
+def _specs(case: PackageCase) -> Iterator[Spec | DriverSpec]:
+    """The descriptors of a distribution that can be read here, those of drivers included."""
+    for offer in discover().all_offers:
+        if normalise(offer.distribution) == normalise(case.distribution):
+            yield offer.spec
+            if isinstance(offer.spec, RobotSpec):
+                yield from offer.spec.drivers
 
 
 _SOURCE = "docs/writing-a-plugin.md"
@@ -118,9 +194,15 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/plugin-module-light",
-        text=f"Importing the plugin module imports none of {', '.join(HEAVY)}.",
+        text="Importing the plugin module imports nothing but the standard library, pluggy and the package itself.",
         source="roboneuron.plugins",
         check=_check_light,
+    ),
+    Rule(
+        id="package/plugin-module-pure",
+        text="Importing the plugin module prints, writes, starts, connects and computes nothing.",
+        source="roboneuron.plugins",
+        check=_check_pure,
     ),
     Rule(id="package/typed", text="The package holds py.typed.", source=_SOURCE, check=_check_typed),
     Rule(id="package/readme", text="The metadata hold a README.", source=_SOURCE, check=_check_readme),
@@ -133,14 +215,19 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/requires-python",
-        text="The metadata say which Python versions it runs on.",
+        text="The metadata say from which Python version on it runs.",
         source=_SOURCE,
         check=_check_python,
     ),
-    Rule(id="package/requires-core", text=f"It declares that it needs {CORE}.", source=_SOURCE, check=_check_core),
+    Rule(
+        id="package/requires-core",
+        text=f"It declares that it needs {CORE}, with a lower and an upper bound.",
+        source=_SOURCE,
+        check=_check_core,
+    ),
     Rule(
         id="package/import-direction",
-        text="It imports neither server, supervisor, modules nor cli of the core.",
+        text=f"Of the core it imports {', '.join(PUBLIC)}, no other package.",
         source=_SOURCE,
         check=_check_direction,
     ),
@@ -149,6 +236,12 @@ RULES: tuple[Rule[PackageCase], ...] = (
         text="It imports other plugins only when it declares to need them.",
         source=_SOURCE,
         check=_check_siblings,
+    ),
+    Rule(
+        id="package/imports-declared",
+        text="What it imports comes with a distribution that it declares, or with a descriptor's `requires`.",
+        source=_SOURCE,
+        check=_check_imports_declared,
     ),
 )
 """Rules of packages."""

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
-from roboneuron.contract import RobotProfile
+from roboneuron.contract import CameraCalibration, CameraProfile, RobotProfile
 from roboneuron.testing.cases import RobotCase
+from roboneuron.testing.kinematics import MOVABLE, place_tcp, read_chain, read_joints
 from roboneuron.testing.rule import NotApplicable, Rule, Violation, require
+from roboneuron.testing.snapshots import snapshot
 
 ENDPOINT_KINDS = ("publish", "read", "service", "action")
 """Values of `Endpoint.kind`."""
 _ENDPOINT_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
+MOUNTS = ("base", "tcp")
+"""Values of `CameraCalibration.mount`."""
+FARTHEST_CAMERA_M = 20.0
+"""Farthest a camera may be from what carries it."""
+SLACK = 1e-3
+"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what rounding in a URDF leaves."""
 _INTERFACE = {"publish": "msg", "read": "msg", "service": "srv", "action": "action"}
 
 
@@ -28,10 +35,19 @@ def _arm(case: RobotCase) -> RobotProfile:
     return case.profile()
 
 
+def _check_base(case: RobotCase) -> None:
+    if case.spec.robot_kind != "base":
+        require(bool(case.spec.action_widths), "the descriptor of an arm names no action_widths")
+        return
+    profile = case.profile()
+    require(not profile.arm_joints and profile.gripper is None, "a base has the joints or the gripper of an arm")
+
+
 def _check_limits(case: RobotCase) -> None:
     profile = _arm(case)
     limits, count = profile.limits, len(profile.arm_joints)
     require(count > 0, "an arm has no arm_joints")
+    require(len(set(profile.arm_joints)) == count, "an arm has two arm_joints of one name")
     if limits is None:
         raise Violation("an arm has no limits")
     for name in ("lower", "upper", "velocity", "acceleration", "effort"):
@@ -57,23 +73,51 @@ def _check_home(case: RobotCase) -> None:
 def _check_urdf(case: RobotCase) -> None:
     profile = _arm(case)
     require(bool(profile.urdf), "an arm has no URDF")
-    try:
-        root = ElementTree.fromstring(profile.urdf)
-    except ElementTree.ParseError as error:
-        raise Violation(f"the URDF is no XML: {error}") from error
-    links = {link.get("name") for link in root.iter("link")}
-    parents = {joint.find("child").get("link"): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
-    absent = [link for link in (profile.base_link, profile.tcp_link) if link not in links]
-    require(not absent, f"the URDF has no link {', '.join(absent)}")
-    chain: set[str | None] = set()
-    link: str | None = profile.tcp_link
-    while link != profile.base_link and link in parents:
-        joint = parents[link]
-        chain.add(joint.get("name"))
-        link = joint.find("parent").get("link")  # type: ignore[union-attr]
-    require(link == profile.base_link, f"{profile.tcp_link} is not carried by {profile.base_link} in the URDF")
-    astray = [n for n in profile.arm_joints if n not in chain]
-    require(not astray, f"joints that are not between base and TCP in the URDF: {', '.join(astray)}")
+    chain = read_chain(profile)
+    movable = [joint.name for joint in chain if joint.kind in MOVABLE]
+    astray = [n for n in profile.arm_joints if n not in movable]
+    require(not astray, f"joints that do not move between base and TCP in the URDF: {', '.join(astray)}")
+    left_out = [n for n in movable if n not in profile.arm_joints]
+    require(not left_out, f"arm_joints lacks joints between base and TCP in the URDF: {', '.join(left_out)}")
+    require(list(profile.arm_joints) == movable, f"arm_joints are not from base to tip: {', '.join(movable)}")
+
+
+def _check_urdf_limits(case: RobotCase) -> None:
+    """The profile allows nothing that the URDF forbids, which also tells degrees and millimetres."""
+    profile = _arm(case)
+    limits = profile.limits
+    joints = {joint.name: joint for _, joint in read_joints(profile.urdf).values()}
+    if limits is None:
+        raise Violation("an arm has no limits")
+    for index, name in enumerate(profile.arm_joints):
+        if name not in joints:
+            raise Violation(f"the URDF has no joint {name!r}")
+        joint = joints[name]
+        low, high, velocity = (float(v[index]) for v in (limits.lower, limits.upper, limits.velocity))
+        inside = joint.lower - SLACK <= low and high <= joint.upper + SLACK
+        wanted = f"{joint.lower:g} .. {joint.upper:g}"
+        require(inside or joint.kind == "continuous", f"{name} may go {low:g} .. {high:g}, in the URDF {wanted}")
+        told = f"{name} may move at {velocity:g} per second, in the URDF at {joint.velocity:g}"
+        require(velocity <= joint.velocity * (1 + SLACK) or joint.velocity == 0, told)
+    if profile.gripper is not None and profile.gripper.joint in joints:
+        joint = joints[profile.gripper.joint]
+        for position in (profile.gripper.closed_position, profile.gripper.open_position):
+            inside = joint.lower - SLACK <= position <= joint.upper + SLACK
+            require(inside, f"the gripper goes to {position:g}, in the URDF {joint.lower:g} .. {joint.upper:g}")
+
+
+def _check_home_pose(case: RobotCase) -> None:
+    profile = _arm(case)
+    if profile.workspace is None or profile.home_rad is None:
+        raise NotApplicable("the robot has no workspace or no home posture")
+    positions = dict(zip(profile.arm_joints, profile.home_rad.tolist(), strict=True))
+    place = place_tcp(profile, positions).position_m
+    inside = bool(((profile.workspace.lower_m <= place) & (place <= profile.workspace.upper_m)).all())
+    require(inside, f"at home the TCP is at {place.round(3)} m, outside of the workspace")
+
+
+def _check_stable(case: RobotCase) -> None:
+    require(snapshot(case.profile()) == snapshot(case.profile()), "two calls of `target` return different profiles")
 
 
 def _check_cameras(case: RobotCase) -> None:
@@ -84,6 +128,26 @@ def _check_cameras(case: RobotCase) -> None:
     for camera in profile.cameras:
         require(bool(camera.frame_id), f"camera {camera.name!r} has no frame_id")
         require(camera.width > 0 and camera.height > 0, f"camera {camera.name!r} is {camera.width}x{camera.height}")
+        if camera.calibration is not None:
+            _check_calibration(camera, camera.calibration)
+
+
+def _check_calibration(camera: CameraProfile, calibration: CameraCalibration) -> None:
+    """A pinhole inside its image, mounted upright in a right-handed frame some metres away."""
+    who = f"the calibration of camera {camera.name!r}"
+    intrinsics, pose = calibration.intrinsics, calibration.T_mount_camera
+    require(intrinsics.shape == (3, 3) and pose.shape == (4, 4), f"{who} has shapes {intrinsics.shape}, {pose.shape}")
+    require(bool(np.isfinite(intrinsics).all() and np.isfinite(pose).all()), f"{who} is not finite")
+    require(calibration.mount in MOUNTS, f"{who} has the mount {calibration.mount!r}, expected {' or '.join(MOUNTS)}")
+    focal, centre = intrinsics[[0, 1], [0, 1]], intrinsics[:2, 2]
+    size = np.array([camera.width, camera.height])
+    require(bool((focal > 0).all()) and intrinsics[2, 2] == 1, f"{who} has no focal length in pixels")
+    require(bool(((centre > 0) & (centre < size)).all()), f"{who} has its centre {centre} outside of the image")
+    rotation = pose[:3, :3]
+    upright = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+    require(bool(upright) and np.allclose(pose[3], [0, 0, 0, 1]), f"{who} has a T_mount_camera that is no pose")
+    away_m = float(np.linalg.norm(pose[:3, 3]))
+    require(away_m <= FARTHEST_CAMERA_M, f"{who} is {away_m:g} m away; are those millimetres?")
 
 
 def _check_gripper(case: RobotCase) -> None:
@@ -140,13 +204,34 @@ RULES: tuple[Rule[RobotCase], ...] = (
     Rule(id="robot/home-inside", text="The home posture is within the limits.", source=_SOURCE, check=_check_home),
     Rule(
         id="robot/urdf-complete",
-        text="The URDF holds base and TCP, with every arm joint between them.",
+        text="The URDF holds base and TCP; what moves between them are the arm joints, in that order.",
         source=_SOURCE,
         check=_check_urdf,
     ),
     Rule(
+        id="robot/limits-of-urdf",
+        text="The profile's limits of joints and gripper are within the URDF's.",
+        source="roboneuron.contract.profile.JointLimits",
+        check=_check_urdf_limits,
+    ),
+    Rule(
+        id="robot/home-in-workspace",
+        text="At home the TCP is inside the workspace.",
+        source="roboneuron.contract.profile.Workspace",
+        check=_check_home_pose,
+    ),
+    Rule(
+        id="robot/profile-stable", text="Every call of `target` returns the same.", source=_SOURCE, check=_check_stable
+    ),
+    Rule(
+        id="robot/kind-agrees",
+        text="A base has no arm; an arm says which action widths it can execute.",
+        source="roboneuron.plugins.specs.RobotSpec",
+        check=_check_base,
+    ),
+    Rule(
         id="robot/cameras-agree",
-        text="Descriptor and profile name the same cameras and roles.",
+        text="Descriptor and profile name the same cameras and roles; what is calibrated is a camera.",
         source="roboneuron.plugins.specs.CameraSpec",
         check=_check_cameras,
     ),

@@ -1,0 +1,38 @@
+"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it has handed over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+
+def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> None:
+    """Replace the named array fields of a frozen dataclass by read-only copies; called from `__post_init__`.
+
+    Fields that are None stay None; with `dtype` None an array keeps its own. An array that is read-only already and
+    owns its memory is not copied again, so that `dataclasses.replace` copies only what it changes.
+    """
+    for name in names:
+        array = getattr(value, name)
+        if array is not None:
+            object.__setattr__(value, name, _frozen(array, dtype))
+
+
+def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
+    """A view that cannot be written through; no pixel is copied, so the owner must leave the memory alone."""
+    if not array.flags.writeable:
+        return array
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _frozen(values: ArrayLike, dtype: DTypeLike | None) -> NDArray[Any]:
+    array: NDArray[Any] = np.asarray(values, dtype=dtype)
+    if array.flags.owndata and not array.flags.writeable:
+        return array
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy

@@ -1,0 +1,120 @@
+"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on without it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
+from typing import Any, TypeVar, cast
+
+P = TypeVar("P")
+T = TypeVar("T")
+
+CALL_LIMIT_S = 20.0
+"""Bound on a call without a bound of its own in CALL_LIMITS_S."""
+CALL_LIMITS_S: Mapping[str, float] = {
+    "constructor": 5.0,
+    "load": 300.0,
+    "open": 60.0,
+    "reset": 5.0,
+    "close": 5.0,  # the supervisor kills a module that takes longer
+    "abort": 2.0,
+    "hold": 2.0,
+    "send": 2.0,
+}
+"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged by other rules."""
+RULE_LIMIT_S = 600.0
+"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case, an import)."""
+
+
+class Overdue(Exception):
+    """A call did not return in time; the message says which and its bound."""
+
+
+class _Watch:
+    """The call that is in progress in the watched thread."""
+
+    def __init__(self) -> None:
+        self._call: tuple[str, float, float] | None = None  # name, bound, begun; replaced as a whole
+
+    def begin(self, name: str, limit_s: float) -> None:
+        self._call = (name, limit_s, time.monotonic())
+
+    def end(self) -> None:
+        self._call = None
+
+    def check(self) -> None:
+        call = self._call
+        if call is not None and time.monotonic() - call[2] > call[1]:
+            raise Overdue(f"{call[0]} did not return within {call[1]:g} s")
+
+
+_watch: ContextVar[_Watch | None] = ContextVar("watched_calls", default=None)
+
+
+class _Bounded:
+    """Stands in for a plugin's object; tells the watch of its thread when a method is called and when it returns."""
+
+    def __init__(self, subject: object, limits_s: Mapping[str, float]) -> None:
+        self._subject = subject
+        self._limits_s = {**CALL_LIMITS_S, **limits_s}
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._subject, name)
+        if not callable(value):
+            return value
+        limit_s = self._limits_s.get(name, CALL_LIMIT_S)
+        return lambda *arguments, **named: call_bounded(name, limit_s, lambda: value(*arguments, **named))
+
+
+def bounded(subject: P, limits_s: Mapping[str, float]) -> P:
+    """`subject` with every method bounded while it is called inside `run_bounded`."""
+    return cast(P, _Bounded(subject, limits_s))
+
+
+def call_bounded(name: str, limit_s: float, work: Callable[[], T]) -> T:
+    """Return what `work` returns, bounded as a method called `name` would be."""
+    watch = _watch.get()
+    if watch is None:
+        return work()
+    watch.begin(name, limit_s)
+    try:
+        return work()
+    finally:
+        watch.end()
+
+
+def unbounded(subject: P) -> P:
+    """The object that `bounded` was given; any other as it is."""
+    return cast(P, subject._subject) if isinstance(subject, _Bounded) else subject
+
+
+def run_bounded(work: Callable[[], T]) -> T:
+    """Return what `work` returns, run in a thread of its own, as a module would; raises what it raises.
+
+    Raises:
+        Overdue: a bounded call or the whole hangs. The thread is a daemon and is left behind.
+    """
+    watch = _Watch()
+    outcome: list[T] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        _watch.set(watch)
+        try:
+            outcome.append(work())
+        except BaseException as error:  # handed to the caller below
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="contract-rule", daemon=True)
+    begun_s = time.monotonic()
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.05)
+        watch.check()
+        if time.monotonic() - begun_s > RULE_LIMIT_S:
+            raise Overdue(f"the rule did not end within {RULE_LIMIT_S:g} s")
+    if errors:
+        raise errors[0]
+    return outcome[0]

@@ -1,0 +1,94 @@
+"""Mutants: a good plugin of the kit's fakes with one mistake, and the rule that is to catch it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from roboneuron.errors import RoboNeuronError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mutant:
+    """One mistake.
+
+    Attributes:
+        rule: id of the rule that catches it.
+        target: the class or function in place of the good one; None for the good one.
+        spec, case: fields of descriptor and case that are changed.
+        words: a part of what the rule then says; empty for anything.
+    """
+
+    rule: str
+    target: Any = None
+    spec: dict[str, object] = field(default_factory=dict)
+    case: dict[str, object] = field(default_factory=dict)
+    words: str = ""
+
+
+def mutate(base: type, **changes: Callable[..., object]) -> type:
+    """A subclass of `base` whose methods are changed.
+
+    Each change is called as `change(self, call, *arguments)`; `call` is the good method.
+    """
+    made = type(f"Mutated{base.__name__}", (base,), {})
+
+    def method(name: str, change: Callable[..., object]) -> Callable[..., object]:
+        def changed(self: Any, *arguments: object, **named: object) -> object:
+            return change(self, getattr(super(made, self), name, None), *arguments, **named)
+
+        return changed
+
+    for name, change in changes.items():
+        setattr(made, name, method(name, change))
+    return made
+
+
+def counted(self: Any) -> int:
+    """1, 2, 3 ... with every call on one object."""
+    self.counted = getattr(self, "counted", 0) + 1
+    return self.counted
+
+
+def then(*steps: object) -> object:
+    """The last of what a lambda's steps gave."""
+    return steps[-1]
+
+
+def remembered(self: Any, value: object) -> object:
+    """`value`, which `self` keeps for ever."""
+    self.memory = [*getattr(self, "memory", []), value]
+    return value
+
+
+def leave_thread() -> None:
+    """Start a thread that outlives the rule."""
+    threading.Thread(target=time.sleep, args=(7,), name="forgotten", daemon=True).start()
+
+
+def compute() -> None:
+    """Take processor time."""
+    until_s = time.thread_time() + 0.6
+    while time.thread_time() < until_s:
+        pass
+
+
+def read_file() -> None:
+    """Open a file."""
+    open("/proc/self/status", "rb").close()
+
+
+def or_else(call: Callable[[], object], default: Callable[[], object]) -> object:
+    """What `call` returns, or what `default` does when it refuses."""
+    try:
+        return call()
+    except RoboNeuronError:
+        return default()
+
+
+def forever(*_: object, **__: object) -> None:
+    """Hang longer than any bound of the tests."""
+    time.sleep(30)
