@@ -167,6 +167,7 @@ class Hashable:
 
     def __init__(self, facts: SimpleNamespace) -> None:
         self.address, self.is_idle, self.dropped, self.drop = facts.address, facts.is_idle, facts.dropped, facts.drop
+        self.is_silent, self.age_s = True, 2.0
 
 
 def test_the_oldest_unproven_connection_gives_way() -> None:
@@ -180,6 +181,19 @@ def test_the_oldest_unproven_connection_gives_way() -> None:
     for number in range(MOST_UNPROVEN - 10):
         table.add(made_connection(f"10.1.0.{number}"))
     assert not mine.dropped  # its address is not the busiest
+
+
+def test_connections_that_are_new_or_have_sent_a_request_do_not_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_connections, "MOST_YOUNG", 2 * MOST_UNPROVEN_OF_ONE)
+    table = ConnectionTable()
+    crowd = [made_connection("10.0.0.2") for _ in range(2 * MOST_UNPROVEN_OF_ONE + 5)]
+    for connection in crowd[:10]:
+        connection.is_silent = False
+    for connection in crowd[10:]:
+        connection.age_s = 0.1
+    for connection in crowd:
+        table.add(connection)
+    assert [bool(c.dropped) for c in crowd] == [False] * 10 + [True] * 5 + [False] * (len(crowd) - 15)
 
 
 def test_a_holder_has_a_share_and_a_stop_is_served_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
