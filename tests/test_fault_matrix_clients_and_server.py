@@ -37,14 +37,15 @@ LEASE_S, SERVER_TIMEOUT_S = 8.0, 1.0
 SERVER = """
 [server]
 transport = "http"
+reset_emergency_stop = "client"
+[http]
 port = {port}
 lease_s = {lease_s}
-reset_emergency_stop = "client"
-[[server.tokens]]
+[[http.tokens]]
 name = "ann"
 role = "admin"
 variable = "TEST_ANN"
-[[server.tokens]]
+[[http.tokens]]
 name = "bob"
 role = "operator"
 variable = "TEST_BOB"

@@ -17,7 +17,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 log = logging.getLogger(__name__)
-CONNECTION_KEY = "roboneuron.transport"
+PROTOCOL_KEY = "roboneuron.transport"
 """Where the ASGI scope's `state` has the BoundedProtocol of a request."""
 HEADERS_S = 5.0
 """From the first byte of a request (of a connection: from its beginning) to the end of its headers."""
@@ -102,7 +102,7 @@ class BoundedProtocol(H11Protocol):
 
     def __init__(self, table: ConnectionTable, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.app_state = {**self.app_state, CONNECTION_KEY: self}
+        self.app_state = {**self.app_state, PROTOCOL_KEY: self}
         self.table = table
         self.address = ""
         self._made_s = 0.0
