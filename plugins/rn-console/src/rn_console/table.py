@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -49,11 +48,11 @@ def _head(status: ServerStatus) -> Text:
 def _body(status: ServerStatus) -> list[RenderableType]:
     if not status.running:
         return [Text("no module runs")]
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1), show_edge=False)
-    table.add_column("module", no_wrap=True)
-    table.add_column("health", no_wrap=True)
+    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))  # fits 80 columns
+    table.add_column("module", no_wrap=True, overflow="crop")
+    table.add_column("health", no_wrap=True, overflow="crop")
     for column in ("pid", "up", "Hz", "ms", "p99 ms", "age ms", "sent", "dropped"):
-        table.add_column(column, justify="right", no_wrap=True)
+        table.add_column(column, justify="right", no_wrap=True, overflow="crop")
     for module in status.modules:
         health = Text(module.health, style=_COLOURS.get(module.health, "bold red"))
         table.add_row(module.module, health, *_cells(module))
