@@ -41,7 +41,9 @@ ROS_ROOMS = {"ros", "modules", "interfaces"}
 """Where rclpy may be imported."""
 FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
 """Rooms of the core that plugins may import."""
-FOR_FEATURES = {"client", "config", "gate", "interfaces", "log_files", "modules", "planning", "server", "supervisor"}
+FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"} | {
+    *("cli", "log_files", "ros"),  # commands: their connection to a server, /diagnostics and the logs
+}
 """What features and commands may import besides."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
