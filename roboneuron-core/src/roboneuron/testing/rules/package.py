@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
 
+import roboneuron
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.markers import PROJECT
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
@@ -105,7 +106,7 @@ def _check_direction(case: PackageCase) -> None:
     for path in source_files(case):
         for name, line in imported_modules(path):
             top, _, inner = name.partition(".")
-            public = top != PROJECT or inner.partition(".")[0] in ("", *PUBLIC)
+            public = top != PROJECT or inner.partition(".")[0] in ("", *PUBLIC) or inner in roboneuron.__all__
             require(public, f"{path.name}:{line} imports {name}; plugins import {', '.join(PUBLIC)}")
 
 
