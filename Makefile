@@ -18,7 +18,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang clean
+.PHONY: help demo demo-bases test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -81,6 +81,10 @@ interop-sglang: $(VENV)/.develop .venv-sglang/.ready ## real SGLang in an enviro
 	plugins/rn-runtime-sglang/interop/install.sh .venv-sglang $(PYTHON)
 	@touch $@
 
+docs: $(VENV)/.docs ## build the documentation site into out/site; every link and anchor is checked
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/python tools/check_site.py out/site
+
 clean: ## remove the virtual environment and everything the demo wrote
 	rm -rf $(VENV) out
 
@@ -95,6 +99,10 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	$(PIP) --constraint constraints.txt --editable roboneuron-core --editable plugins/rn-robot-bases
+	@touch $@
+
+$(VENV)/.docs: constraints.txt | $(BIN)/python
+	$(PIP) --constraint constraints.txt mkdocs-material 'mkdocstrings[python]'
 	@touch $@
 
 # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.

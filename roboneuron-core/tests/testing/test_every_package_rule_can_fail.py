@@ -192,6 +192,12 @@ def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample
     assert verify(rule, sample.case()).verdict is Verdict.PASSED
 
 
+def test_a_package_may_import_the_public_api(sample):
+    (sample.package / "profile.py").write_text("from roboneuron import RobotProfile, hookimpl\n")
+    rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
+    assert verify(rule, sample.case()).verdict is Verdict.PASSED
+
+
 def test_a_distribution_that_is_not_installed_is_named(sample):
     case = PackageCase(distribution="rn-absent", path=(str(sample.root),))
     outcome = verify(RULES["package"][0], case)

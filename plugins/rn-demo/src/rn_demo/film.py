@@ -35,8 +35,16 @@ class Film:
         """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one frame."""
         directory.mkdir(parents=True, exist_ok=True)
         strip, gif = directory / "film-strip.png", directory / "film.gif"
-        self._strip().save(strip)
-        images = [image.resize((image.width * _SCALE, image.height * _SCALE)) for _, _, image in self.frames]
+        sheet = self._strip()
+        sheet.save(strip)
+        # One palette for all frames, by coverage: palettes of each frame by frequency lose the small coloured cubes.
+        palette = sheet.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+        images = [
+            image.resize((image.width * _SCALE, image.height * _SCALE)).quantize(
+                palette=palette, dither=Image.Dither.NONE
+            )
+            for _, _, image in self.frames
+        ]
         times = [at_s for at_s, _, _ in self.frames]
         gaps = [max(_SHORTEST_FRAME_MS, round(1000 * (b - a))) for a, b in pairwise(times)]
         images[0].save(gif, save_all=True, append_images=images[1:], duration=[*gaps, 1500], loop=0, optimize=True)

@@ -1,0 +1,106 @@
+"""The documentation: what the site shows covers the code, and the check of the built site finds what it is for."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import roboneuron
+from roboneuron.errors import RoboNeuronError
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+CHECK = runpy.run_path(str(ROOT / "tools" / "check_site.py"))
+IN_SITE_BY_INCLUSION = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+
+
+def all_errors(kind: type[RoboNeuronError]) -> set[type[RoboNeuronError]]:
+    return {kind}.union(*(all_errors(sub) for sub in kind.__subclasses__()))
+
+
+def test_every_public_name_is_in_the_api_reference() -> None:
+    page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"^::: roboneuron\.(\w+)$", page, re.MULTILINE))
+    assert shown == set(roboneuron.__all__) - {"__version__"}
+
+
+def test_troubleshooting_names_every_error_code() -> None:
+    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    codes = {e.code for e in all_errors(RoboNeuronError) if e.__module__ == "roboneuron.errors"} - {"error"}
+    assert codes
+    assert {code for code in codes if f"| `{code}` |" not in page} == set()
+
+
+def test_troubleshooting_names_every_check_of_doctor() -> None:
+    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "roboneuron.cli.main", "doctor", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    import json
+
+    findings = json.loads(done.stdout)["findings"]
+    headings = set(re.findall(r"^### `([a-z-]+)`", page, re.MULTILINE))
+    assert headings == {finding["id"] for finding in findings}
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    listed = set(re.findall(r": (\S+\.md)$", nav, re.MULTILINE))
+    assert listed == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+
+
+@pytest.mark.parametrize(("source", "page"), IN_SITE_BY_INCLUSION.items())
+def test_pages_that_stand_at_the_root_are_included(source: str, page: str) -> None:
+    assert (ROOT / source).exists()
+    assert f'--8<-- "{source}"' in (DOCS / page).read_text(encoding="utf-8")
+
+
+def test_the_figure_of_processes_is_current() -> None:
+    done = subprocess.run([sys.executable, str(ROOT / "tools" / "process_figure.py"), "--check"], check=False)
+    assert done.returncode == 0, "run: python tools/process_figure.py"
+
+
+def test_pictures_of_the_readme_are_there_and_small() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert pictures == ["docs/assets/demo.webp", "docs/assets/processes.svg"]
+    assert all((ROOT / picture).stat().st_size < 1_500_000 for picture in pictures)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<script src="https://cdn.example/x.js"></script>',
+        '<link rel="stylesheet" href="//fonts.example/x.css">',
+        '<link rel="preconnect" href="https://fonts.example">',
+        '<img src="https://img.example/x.png">',
+        "<style>@import 'https://x.example/a.css';</style>",
+        '<p style="background: url(https://x.example/a.png)">',
+        '<pre class="mermaid">graph LR</pre>',
+    ],
+)
+def test_the_check_of_the_site_finds_what_comes_from_another_host(tmp_path: Path, text: str) -> None:
+    (tmp_path / "index.html").write_text(f"<html><body>{text}</body></html>", encoding="utf-8")
+    assert len(CHECK["external_resources"](tmp_path)) == 1
+
+
+def test_the_check_of_the_site_allows_links_and_own_files(tmp_path: Path) -> None:
+    page = (
+        '<a href="https://x.example">x</a><script src="a.js"></script><link rel="canonical" href="https://x.example">'
+    )
+    (tmp_path / "index.html").write_text(page, encoding="utf-8")
+    (tmp_path / "a.css").write_text("a { background: url(b.png) }", encoding="utf-8")
+    assert CHECK["external_resources"](tmp_path) == []
+
+
+def test_a_site_without_pages_is_no_success(tmp_path: Path) -> None:
+    assert CHECK["main"]([str(tmp_path)]) == 1

@@ -1,0 +1,70 @@
+"""docs/tutorials/your-own-arm.md: its files make a package that keeps the contract, and its arm moves."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roboneuron.cli.main import main
+
+PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """The package that the page makes, with metadata as pip would install them."""
+    project = tmp_path / "rn-robot-myarm"
+    assert main(["new", "robot", "myarm", "--directory", str(project)]) == 0
+    for name, text in FILES.items():
+        (project / name).write_text(text, encoding="utf-8")
+    info = project / "src" / "rn_robot_myarm-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.4\nName: rn-robot-myarm\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\nrn-robot-myarm = rn_robot_myarm.plugin\n")
+    return project
+
+
+def test_the_page_has_all_files() -> None:
+    names = ("myarm.urdf", "profile.py", "ros2.py", "plugin.py")
+    assert set(FILES) == {"roboneuron.toml", "fake_arm.py", *(f"src/rn_robot_myarm/{name}" for name in names)}
+
+
+def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "-k", "TestMyarm"],
+        cwd=project,
+        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\d\d passed", done.stdout)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("driver", ["simulated", "ros2"])
+def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], driver: str) -> None:
+    environment = {**environment, "PYTHONPATH": str(project / "src")}
+    config = project / "roboneuron.toml"
+    config.write_text(FILES["roboneuron.toml"].replace("[robot]", f'[robot]\ndriver = "{driver}"'), encoding="utf-8")
+    arm = subprocess.Popen([sys.executable, "fake_arm.py"], cwd=project, env=environment, stderr=subprocess.DEVNULL)
+    command = ["roboneuron", "call", "start_robot", "--config", str(config), "--then", "start_control", "{}"]
+    command += ["--then", "move_joints", '{"positions": {"joint_1": 0.3}}']
+    command += ["--then", "move_ee", '{"dx_m": 0.05, "dz_m": -0.05}']
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    finally:
+        arm.kill()
+        arm.wait(10)
+    assert done.returncode == 0, done.stdout + done.stderr
+    [moved] = re.findall(r'"joint_1": ([\d.]+)', done.stdout)
+    assert abs(float(moved) - 0.3) < 0.01  # where move_joints returns
+    assert re.search(r'"error_m": 0\.00[01]', done.stdout)  # within 2 mm, where move_ee returns
