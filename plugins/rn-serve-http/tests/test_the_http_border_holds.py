@@ -188,7 +188,7 @@ def test_the_oldest_unproven_connection_gives_way() -> None:
 
 
 def test_connections_that_are_new_or_have_sent_a_request_do_not_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_connections, "MOST_YOUNG", 2 * MOST_UNPROVEN_OF_ONE)
+    monkeypatch.setattr(connections, "MOST_YOUNG", 2 * MOST_UNPROVEN_OF_ONE)
     table = ConnectionTable()
     crowd = [made_connection("10.0.0.2") for _ in range(2 * MOST_UNPROVEN_OF_ONE + 5)]
     for connection in crowd[:10]:

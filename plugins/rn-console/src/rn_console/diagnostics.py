@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from rn_console.log_runs import log_runs
 from rn_console.status import ModuleStatus, ServerStatus
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, StatusKey
-from roboneuron.supervisor.health import Report, parse_report
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.view import ModuleView
 from roboneuron.supervisor.watch import Health, assess
 
@@ -93,9 +93,9 @@ class DiagnosticsListener:
         for status in message.status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             values = {pair.key: pair.value for pair in status.values}
-            if _kind_of(node) is None or StatusKey.STATE not in values or not status.hardware_id.isdecimal():
+            if _kind_of(node) is None or "state" not in values or not status.hardware_id.isdecimal():
                 continue  # the supervisor's own words, or somebody else's
-            report = parse_report(values, received_s=time.monotonic())
+            report = Report.from_values(values, received_s=time.monotonic())
             with self._lock:
                 self._reports[namespace, node, int(status.hardware_id)] = report
 
