@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, distribution, distributions
 import roboneuron
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.markers import PROJECT
-from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 from roboneuron.testing.cases import PackageCase
 from roboneuron.testing.distribution import (
     find_distribution,
@@ -105,7 +105,7 @@ def _check_core(case: PackageCase) -> None:
 
 
 def _check_direction(case: PackageCase) -> None:
-    extends = any(spec.kind in ("feature", "command") for spec in _specs(case))
+    extends = any(isinstance(spec, FeatureSpec | CommandSpec) for spec in _specs(case))
     packages = PUBLIC + FOR_FEATURES if extends else PUBLIC
     for path in source_files(case):
         for name, line in imported_modules(path):
