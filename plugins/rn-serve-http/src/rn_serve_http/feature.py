@@ -26,7 +26,7 @@ class HttpFeature(Feature[HttpOptions]):
     """Serves HTTP when `[server] transport` asks for it; lets one client at a time operate the robot always."""
 
     lease: OperatorLease | None = None
-    _listener: socket.socket | None = None
+    listener: socket.socket | None = None
 
     @property
     def identifies_clients(self) -> bool:
@@ -63,7 +63,7 @@ class HttpFeature(Feature[HttpOptions]):
 
         assert self.lease is not None, "the server asks for tools first"
         rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
-        listener = self._listener = listen(self.options, tokens)
+        listener = self.listener = listen(self.options, tokens)
         server = make_server(host.server, self.options, rules, tokens, self.lease.release)
 
         async def serve(leave: anyio.Event) -> None:
@@ -82,5 +82,5 @@ class HttpFeature(Feature[HttpOptions]):
         """End the watch, and free the address."""
         if self.lease is not None:
             self.lease.close()
-        if self._listener is not None:
-            self._listener.close()
+        if self.listener is not None:
+            self.listener.close()
