@@ -17,10 +17,11 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
 PLUGINS = ROOT / "plugins"
 
-LIGHT = {"errors"}
+LIGHT = {"errors", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "log_files": set(),
     "contract": LIGHT,
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
@@ -33,14 +34,13 @@ ALLOWED: dict[str, set[str]] = {
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
     "testing": CONTRACT | {"plugins", "config", "supervisor", "server", "cli"},
     "client": LIGHT,
-    "doctor": CONTRACT | {"plugins", "config", "gate", "ros", "server"},
 }
 """Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
 ROS_ROOMS = {"ros", "modules", "interfaces"}
 """Where rclpy may be imported."""
 FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
 """Rooms of the core that plugins may import."""
-FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"}
+FOR_FEATURES = {"client", "config", "gate", "interfaces", "log_files", "modules", "planning", "server", "supervisor"}
 """What features and commands may import besides."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}

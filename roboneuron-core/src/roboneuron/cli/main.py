@@ -11,6 +11,7 @@ from roboneuron import __version__
 from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
 from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.registry import Registry
 
 EXIT_OK = 0
@@ -48,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
     name, *rest = words
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
-    if registry is not None and not any(offer.spec.name == name for offer in registry.offers("command")):
+    if registry is not None and not (
+        any(offer.spec.name == name for offer in registry.offers("command")) or package_of("command", name)
+    ):
         names = [*COMMANDS, *installed_commands(registry)]
         close = get_close_matches(name, names, n=1)
         nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."

@@ -10,6 +10,7 @@ from roboneuron.config.explaining import explain, unknown_key
 from roboneuron.config.whole import Config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.record import Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
@@ -28,6 +29,9 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
     owners = {key: offer for offer in registry.offers("feature") for key in _spec(offer.spec).keys}
     for key in config.sections:
         if key not in owners:
+            name = key.replace("_", "-")
+            if package_of("feature", name) is not None:
+                registry.get("feature", name)  # says which package to install
             error = unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
                 error, hint="If it belongs to a feature, that is not installed: see `roboneuron plugins list`."
