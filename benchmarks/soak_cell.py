@@ -202,7 +202,8 @@ def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Itera
         link.open()
         try:
             witness = JointWitness(link.node, link.on_executor)
-            with start_blocking_portal() as portal, portal.wrap_async_context_manager(Client(server)) as client:
+            made = Client(server, read_timeout_seconds=180)
+            with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
                 agent = Agent(client, portal)
                 yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
         finally:
