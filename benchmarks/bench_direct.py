@@ -39,6 +39,8 @@ from roboneuron.testing.domain import free_ros_domain
 
 TOPIC = "/bench/cmd_vel"
 BUDGET_MS = 0.3
+CALL_S = 60.0
+"""Longest wait for an answer of a server; starts take up to 30 s."""
 TRIVIAL = """
 import os, time
 import anyio
@@ -122,7 +124,7 @@ class Listener:
     def close(self) -> None:
         """End the process."""
         self._process.kill()
-        self._process.wait()
+        self._process.wait(10)
 
 
 def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
@@ -161,6 +163,11 @@ def server(path: Path) -> StdioServerParameters:
     return StdioServerParameters(command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ))
 
 
+def bounded(parameters: StdioServerParameters) -> Client:
+    """A client whose calls fail when no answer comes."""
+    return Client(parameters, read_timeout_seconds=CALL_S)
+
+
 @contextmanager
 def publisher() -> Iterator[Any]:
     """The bare rclpy publisher, in this process."""
@@ -173,6 +180,8 @@ def publisher() -> Iterator[Any]:
     end_s = time.monotonic() + 10
     while made.get_subscription_count() < 1 and time.monotonic() < end_s:
         time.sleep(0.01)
+    if made.get_subscription_count() < 1:
+        raise SystemExit("The subscriber was not discovered within 10 s.")
     time.sleep(0.2)
 
     def publish(mark: float) -> None:
@@ -196,7 +205,7 @@ async def measure(size: int, calls: int, listener: Listener, folder: Path, publi
     """Milliseconds of ours and both floors, one after the other in each round."""
     times: dict[str, list[float]] = {"tool": [], "entered": [], "publish": [], "ours": [], "round trip": []}
     trivial = StdioServerParameters(command=sys.executable, args=["-c", TRIVIAL], env=dict(os.environ))
-    async with Client(trivial) as floor, Client(server(configuration(folder, size, False))) as client:
+    async with bounded(trivial) as floor, bounded(server(configuration(folder, size, False))) as client:
         started = time.monotonic()
         listed = await client.list_tools()
         times["list"] = [(time.monotonic() - started) * 1e3]
@@ -239,7 +248,7 @@ async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[l
     stops: list[float] = []
     cancels: list[float] = []
     steps = [{"message": {"linear": {"x": x}}, "duration_s": 5.0} for x in (0.5, 0.25)]
-    async with Client(server(configuration(folder, 3, True))) as client:
+    async with bounded(server(configuration(folder, 3, True))) as client:
         await client.list_tools()
         for index in range(count * 2):
             with anyio.fail_after(30):  # until the motion before has let go of the robot, and its last message is here
@@ -276,7 +285,7 @@ async def measure_start(size: int, listener: Listener, folder: Path) -> tuple[fl
     """Seconds from the spawn to the answer of initialize, of tools/list, and to the first message."""
     mark = time.monotonic()
     begun = time.monotonic_ns()
-    async with Client(server(configuration(folder, size, False))) as client:
+    async with bounded(server(configuration(folder, size, False))) as client:
         ready = time.monotonic_ns()
         await client.list_tools()
         listed = time.monotonic_ns()

@@ -215,7 +215,7 @@ def floor_s(trials: int) -> list[float]:
         time.sleep(0.05)
         at_s = time.monotonic()
         child.kill()
-        child.wait()
+        child.wait(10)
         times.append(time.monotonic() - at_s)
     return times
 

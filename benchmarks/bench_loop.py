@@ -29,12 +29,15 @@ from rich.table import Table
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.lifecycle import LifecycleClient
 from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 RATE_HZ = 30.0
 SIZES = {"224x224": (224, 224), "640x480": (480, 640)}
 WARM_UP = 30
+TRANSITION_S = 30.0
 CONFIGURATION = '[robot]\nname = "bench"\n[inference]\nbackend = "echo"\ninstruction = "go"\n'
 
 
@@ -69,7 +72,7 @@ class Camera:
         import rclpy
 
         self._stop.set()
-        self._thread.join()
+        self._thread.join(5.0)
         self.node.destroy_node()
         rclpy.try_shutdown()
 
@@ -84,6 +87,14 @@ class Camera:
                 return
             time.sleep(0.02)
         sys.exit("the other process was not found within 30 s")
+
+    def wait_until_alone(self) -> None:
+        """Until nobody publishes actions any more; an ended process stays in the graph for up to 20 s."""
+        end_s = time.monotonic() + 60
+        while self.node.count_publishers("/bench/action"):
+            if time.monotonic() > end_s:
+                sys.exit("the ended process was still in the ROS graph after 60 s")
+            time.sleep(0.02)
 
     def run(self, height: int, width: int, frames: int) -> tuple[np.ndarray, float, int]:
         """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the number of answers."""
@@ -102,7 +113,42 @@ class Camera:
             self._publisher.publish(to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="front")))
         time.sleep(0.3)
         latencies = np.array([at - self.sent_s[number] for number, at in self.answers if number >= WARM_UP])
+        if not latencies.size:
+            sys.exit(f"none of {frames} images was answered")
         return latencies, float(latencies.max()), latencies.size
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Wait until the process has ended; kill it when it does not."""
+    try:
+        process.wait(10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait(10)
+
+
+def activate(process: subprocess.Popen[bytes], log: Path) -> None:
+    """Configure and activate the inference module; a request or answer that is lost is repeated.
+
+    A service that has not discovered its caller yet cannot answer it: on a fast machine that is so for the first one.
+    """
+    from roboneuron.ros.link import RosLink
+
+    def check() -> None:
+        if process.poll() is not None:
+            sys.exit(f"the inference process ended:\n{log.read_text()}")
+
+    link = RosLink("bench_lifecycle")
+    link.open()
+    try:
+        client = LifecycleClient(link, "/bench/inference", Changes(), check, lambda digest: None)
+        if not client.wait_until_served(TRANSITION_S):
+            sys.exit(f"the inference process did not come up within {TRANSITION_S:g} s:\n{log.read_text()}")
+        for transition in ("configure", "activate"):
+            if not client.transition(transition, TRANSITION_S):
+                sys.exit(f"the inference process did not {transition} within {TRANSITION_S:g} s:\n{log.read_text()}")
+    finally:
+        link.close()
 
 
 @contextmanager
@@ -113,15 +159,12 @@ def relay(environment: dict[str, str]) -> Iterator[None]:
         yield
     finally:
         process.terminate()
-        process.wait(10)
+        end(process)
 
 
 @contextmanager
-def inference(environment: dict[str, str], camera: Camera, scratch: Path) -> Iterator[None]:
+def inference(environment: dict[str, str], scratch: Path) -> Iterator[None]:
     """Our inference module in its process, configured and active."""
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
     settings = ModuleSettings(
         kind="inference",
         node_name="inference",
@@ -141,16 +184,11 @@ def inference(environment: dict[str, str], camera: Camera, scratch: Path) -> Ite
     try:
         process.stdin.write(settings.model_dump_json().encode() + b"\n")
         process.stdin.flush()
-        client = camera.node.create_client(ChangeState, "/bench/inference/change_state")
-        if not client.wait_for_service(30):
-            sys.exit(f"the inference process did not come up:\n{(scratch / 'inference.log').read_text()}")
-        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            if not client.call(ChangeState.Request(transition=Transition(id=transition))).success:
-                sys.exit(f"the inference process refused:\n{(scratch / 'inference.log').read_text()}")
+        activate(process, scratch / "inference.log")
         yield
     finally:
         process.stdin.close()
-        process.wait(10)
+        end(process)
 
 
 def measure(frames: int, rounds: int, scratch: Path) -> Table:
@@ -178,14 +216,13 @@ def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frame
     for _ in range(rounds):
         for size, (height, width) in SIZES.items():  # a camera that changes its size is refused: a process per size
             for name in ("relay", "inference"):
-                peer = relay(environment) if name == "relay" else inference(environment, camera, scratch)
+                peer = relay(environment) if name == "relay" else inference(environment, scratch)
                 with peer:
                     camera.wait_for_peer()
                     latencies, oldest, _ = camera.run(height, width, frames)
                 found.setdefault((size, name), []).append(latencies)
                 oldest_s[size, name] = max(oldest, oldest_s.get((size, name), 0.0))
-                while camera.node.count_publishers("/bench/action"):
-                    time.sleep(0.02)
+                camera.wait_until_alone()
     table = Table(
         title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} frames in turns"
     )

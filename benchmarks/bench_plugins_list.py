@@ -34,7 +34,7 @@ PROBE = f"import sys; {LIST.format(flag='')}; print([m for m in {HEAVY!r} if m i
 def run_ms(command: list[str]) -> tuple[float, float]:
     """Wall and processor time of one run [ms]."""
     before_s, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=60)
     wall_s, after = time.perf_counter() - before_s, resource.getrusage(resource.RUSAGE_CHILDREN)
     processor_s = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
     return wall_s * 1000, processor_s * 1000
@@ -54,9 +54,11 @@ def main() -> int:
     medians = {name: statistics.median(wall for wall, _ in values) for name, values in times.items()}
     processor = {name: statistics.median(cpu for _, cpu in values) for name, values in times.items()}
     floor_ms = medians["python -c pass"]
-    listing = subprocess.run(COMMANDS["roboneuron plugins list --json"], check=True, capture_output=True, text=True)
+    listing = subprocess.run(
+        COMMANDS["roboneuron plugins list --json"], check=True, capture_output=True, text=True, timeout=60
+    )
     plugins = json.loads(listing.stdout)["plugins"]
-    probe = subprocess.run([sys.executable, "-c", PROBE], check=True, capture_output=True, text=True)
+    probe = subprocess.run([sys.executable, "-c", PROBE], check=True, capture_output=True, text=True, timeout=60)
     heavy = probe.stderr.strip().splitlines()[-1]
     offers = sum(len(plugin["offers"]) for plugin in plugins)
 

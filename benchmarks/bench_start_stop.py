@@ -50,7 +50,7 @@ def floor_s(repeats: int) -> float:
     times = []
     for _ in range(repeats):
         started_s = time.perf_counter()
-        subprocess.run([sys.executable, "-c", BARE_NODE], check=True, env=dict(os.environ))
+        subprocess.run([sys.executable, "-c", BARE_NODE], check=True, env=dict(os.environ), timeout=60)
         times.append(time.perf_counter() - started_s)
     return float(np.median(times))
 
@@ -79,7 +79,7 @@ async def measure(cycles: int, scratch: Path) -> tuple[Table, Table]:
     stops: list[float] = []
     leaks: list[dict[str, int]] = []
     with (scratch / "server.log").open("w") as log:
-        async with Client(stdio_client(parameters, errlog=log)) as client:
+        async with Client(stdio_client(parameters, errlog=log), read_timeout_seconds=120) as client:
             agent = Agent(client)
             server = psutil.Process((await agent.status())["pid"])
             leaks.append(left_behind(server))

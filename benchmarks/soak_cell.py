@@ -186,10 +186,10 @@ def _mapped(pid: int) -> set[str]:
 def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Iterator[Cell]:
     """A server with the faulty gantry, an agent and a witness; everything is ended."""
     camera = f"width = {size_px[0]}\nheight = {size_px[1]}"
-    supervisor = "unresponsive_s = 1.5\nrestart_limit = 100"
-    text = config_text(folder, rate_hz, backend="steady", camera=camera, supervisor=supervisor)
+    ops = "[ops]\nunresponsive_s = 1.5\nrestart_limit = 100\n"
+    text = config_text(folder, rate_hz, backend="steady", camera=camera)
     path = folder / "roboneuron.toml"
-    path.write_text(text + '[server]\nreset_emergency_stop = "client"\n')
+    path.write_text(text + ops + '[server]\nreset_emergency_stop = "client"\n')
     for part in PARTS:
         fail(folder, part, "")
     with environment(folder):
@@ -202,7 +202,8 @@ def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Itera
         link.open()
         try:
             witness = JointWitness(link.node, link.on_executor)
-            with start_blocking_portal() as portal, portal.wrap_async_context_manager(Client(server)) as client:
+            made = Client(server, read_timeout_seconds=180)
+            with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
                 agent = Agent(client, portal)
                 yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
         finally:

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_ops.memory import MemoryWatch
+from rn_ops.options import MemoryOptions
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, module_status
 from roboneuron.server.selection import InferenceRequest
-from roboneuron.supervisor.memory import MemoryWatch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import PARTS, JointWitness, fail, moving_cell, quiet
@@ -70,7 +71,7 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> float:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     folder = tmp_path_factory.mktemp("faults")
-    with moving_cell(folder, 10.0, inference=f"memory_limit_mb = {MEMORY_LIMIT_MB}") as (loop, witness):
+    with moving_cell(folder, 10.0) as (loop, witness):
         yield Cell(loop, witness, folder)
 
 
@@ -218,7 +219,9 @@ def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell
 
 def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None:
     told: list[tuple[str, str]] = []
-    watch = MemoryWatch(cell.loop.supervisor, lambda kind, why: told.append((kind, why)))
+    watch = MemoryWatch(
+        cell.loop.supervisor, MemoryOptions(inference=MEMORY_LIMIT_MB), lambda kind, why: told.append((kind, why))
+    )
     watch.start()
     cell.fail("memory", "eat")
     try:
@@ -227,7 +230,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
         watch.close()
     wait_until(cell.stands, HOLD_S, "the arm stands")
     assert [kind for kind, _ in told] == ["inference"]
-    assert f"memory_limit_mb = {MEMORY_LIMIT_MB} are allowed" in told[0][1]
+    assert f"[ops.memory_limit_mb] inference = {MEMORY_LIMIT_MB} are allowed" in told[0][1]
     exited = cell.status("inference").exit
     assert exited is not None
     assert any("memory_limit_mb" in line for line in exited.last_lines)

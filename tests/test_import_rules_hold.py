@@ -34,7 +34,6 @@ ALLOWED: dict[str, set[str]] = {
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
     "testing": CONTRACT | {"plugins", "config", "supervisor", "server", "cli"},
     "client": LIGHT,
-    "doctor": CONTRACT | {"plugins", "config", "gate", "ros", "server"},
 }
 """Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
 ROS_ROOMS = {"ros", "modules", "interfaces"}

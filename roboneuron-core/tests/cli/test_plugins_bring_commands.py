@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from roboneuron.cli import main
+from roboneuron.plugins.registry import Registry
+
 PLUGIN = """
 from roboneuron import CommandSpec, hookimpl
 
@@ -75,3 +78,11 @@ def test_core_keeps_its_own_commands_and_suggests_the_nearest(run):
     assert "serve MCP tools" in run("--help").stdout
     assert "would hide" not in run("--help").stdout
     assert "did you mean 'greet'?" in run("gret").stderr
+
+
+def test_a_command_of_a_package_that_is_not_installed_names_it(monkeypatch, capsys):
+    monkeypatch.setattr(main, "discover", lambda: Registry(plugins=(), all_offers=()))
+    assert main.main(["doctor"]) == 2
+    said = capsys.readouterr().err
+    assert "the package rn-ops brings it" in said
+    assert "pip install ./plugins/rn-ops" in said

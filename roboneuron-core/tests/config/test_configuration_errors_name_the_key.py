@@ -9,6 +9,7 @@ import pytest
 from roboneuron.cli.config import reference
 from roboneuron.config import load_config, parse_config
 from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.registry import Registry
 
 MINIMAL = '[robot]\nname = "arm"\n'
 DOCS = Path(__file__).parents[3] / "docs"
@@ -82,3 +83,28 @@ def test_a_checkpoint_is_given_more_time_to_load() -> None:
     assert parse_config(text + 'checkpoint = "/models/vla"\n').start_timeout_s("inference") == 900.0
     assert parse_config(text + "start_timeout_s = 30.0\n").start_timeout_s("inference") == 30.0
     assert parse_config(text + "[supervisor]\nstart_timeout_s = 5.0\n").start_timeout_s("control") == 5.0
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("restart = 'never'\n", "'robot.restart' has moved: write robot under [ops.restart]"),
+        ("memory_limit_mb = 500\n", "'robot.memory_limit_mb' has moved: write robot under [ops.memory_limit_mb]"),
+        (
+            "[perception]\nsource='x'\nrestart = 'on_failure'\n",
+            "'perception.restart' has moved: write perception under [ops.restart]",
+        ),
+        ("[supervisor]\nrestart_limit = 3\n", "'supervisor.restart_limit' has moved: write restart_limit under [ops]"),
+        ("[supervisor]\nunresponsive_s = 3.0\n", "'supervisor.unresponsive_s' has moved: write unresponsive_s"),
+    ],
+)
+def test_a_key_of_an_older_file_says_where_it_is_now(text: str, place: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(MINIMAL + text)
+    assert place in caught.value.message
+
+
+def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:
+    with pytest.raises(ConfigurationError, match="the package rn-ops brings it") as caught:
+        parse_config(MINIMAL + "[ops]\n", registry=Registry(plugins=(), all_offers=()))
+    assert "pip install ./plugins/rn-ops" in caught.value.hint

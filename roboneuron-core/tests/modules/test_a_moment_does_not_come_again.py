@@ -1,15 +1,12 @@
-"""Moments of a change-over, and the repetition of incidents, do not depend on what the clock is set to afterwards."""
+"""Moments of a change-over do not depend on what the clock is set to afterwards."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import pytest
 from rclpy.parameter import Parameter
 
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
 from roboneuron.modules.turn import Turn
-from roboneuron.server.incidents import Incidents
 
 HOUR_NS = 3_600_000_000_000
 
@@ -66,12 +63,3 @@ def test_without_a_moment_nothing_changes_with_time(clocks: Clocks, turn: Turn) 
     clocks.mono_s += 1e6
     assert turn.is_shadow(clocks.wall_ns)
     assert not turn.is_over(clocks.wall_ns)
-
-
-def test_incidents_are_recorded_after_the_clock_was_set_back(tmp_path: Path, clocks: Clocks) -> None:
-    incidents = Incidents(tmp_path, lambda: clocks.wall_ns / 1e9, lambda: clocks.mono_s)
-    assert incidents.record("control", "stuck", {})
-    assert incidents.record("control", "stuck", {}) is None
-    clocks.wall_ns -= 365 * 24 * HOUR_NS
-    clocks.mono_s += 10.0
-    assert incidents.record("control", "stuck", {})

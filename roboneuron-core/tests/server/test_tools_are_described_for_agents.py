@@ -24,7 +24,6 @@ TOOLS = {
     *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
     *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
     *("list_accelerations", "list_interfaces", "describe_interface", "list_topics", "list_nodes"),
-    *("get_logs", "list_incidents"),
     *("move_ee", "read_joint_states"),  # derived from the robot's profile
 }
 
@@ -144,7 +143,7 @@ def test_status_and_logs_are_resources(application: Application) -> None:
         async with Client(application.server) as client:
             uris = {str(resource.uri) for resource in (await client.list_resources()).resources}
             assert uris == {"roboneuron://status"} | {
-                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control", "server")
+                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control")
             }
             status = (await client.read_resource("roboneuron://status")).contents[0]
             assert json.loads(status.text)["namespace"] == "gantry"  # type: ignore[union-attr]

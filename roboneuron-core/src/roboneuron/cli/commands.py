@@ -33,7 +33,6 @@ class CommandModule(Protocol):
 
 COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
-    "doctor": Command("roboneuron.cli.doctor", "check whether this machine and a configuration are ready"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
     "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
     "call": Command("roboneuron.cli.call", "call a tool as an agent would, on a spawned or a running server"),

@@ -62,7 +62,10 @@ def feature_text() -> str:
             continue
         lines += ["", f"# {spec.summary}"]
         lines += [] if spec.sections else [f"# [{spec.keys[0]}]"]
-        for option in describe_options(model):
+        options = list(describe_options(model))
+        for option in options:
+            if any(other.key.startswith(f"{option.key}.") for other in options):
+                continue  # a table: its keys follow
             default = "..." if option.default is None else option.default
             lines.append(f"# {option.key} = {default}  # {option.meaning}")
     return "".join(f"{line}\n" for line in lines)

@@ -18,6 +18,7 @@ from roboneuron.cli.terminal import (
     with_verbosity_behind,
 )
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.registry import Registry
 
 EXIT_OK = 0
@@ -55,7 +56,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
     name, *rest = words
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
-    if registry is not None and not any(offer.spec.name == name for offer in registry.offers("command")):
+    if registry is not None and not (
+        any(offer.spec.name == name for offer in registry.offers("command")) or package_of("command", name)
+    ):
         names = [*COMMANDS, *installed_commands(registry)]
         close = get_close_matches(name, names, n=1)
         nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."

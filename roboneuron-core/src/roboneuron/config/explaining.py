@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib.resources import files
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -42,10 +44,17 @@ def explain(error: ValidationError, root: type[BaseModel], source: str, section:
 
 def unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
     """The sentence for a key that nothing knows."""
+    moved = _moved_keys().get(key)
+    if moved is not None:
+        return f"{source}: the key {key!r} has moved: write {moved}."
     known = sorted(valid)
     near = get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     nearest = f" Did you mean {near[0]!r}?" if near else f" Valid keys: {', '.join(known)}."
     return f"{source}: unknown key {key!r}.{nearest}"
+
+
+def _moved_keys() -> dict[str, str]:
+    return tomllib.loads(files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8"))
 
 
 def _valid_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -8,10 +8,6 @@ from pydantic import Field
 
 from roboneuron.config.section import CameraName, Name, Namespace, Seconds, Section
 
-Restart = Literal["never", "on_failure"]
-Megabytes = Annotated[int, Field(ge=64, le=10_000_000)]
-_MEMORY = "a module that holds more memory of its own is ended; no limit when not given"
-
 
 class RobotConfig(Section):
     """`[robot]`: which robot, moved how."""
@@ -21,20 +17,17 @@ class RobotConfig(Section):
     namespace: Namespace | None = Field(default=None, description="ROS namespace; the robot's name when not given")
     command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
     server_timeout_s: Seconds = Field(default=2.0, description="the driver holds when the server is frozen this long")
-    restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move again")
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
     start_timeout_s: Seconds | None = Field(
         default=None, description="longest start, loading included; as in [supervisor] when not given"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
-    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class PerceptionConfig(Section):
     """`[perception]`: where images come from."""
 
     source: Name = Field(description="a perception source offered by an installed plugin")
-    restart: Restart = Field(default="on_failure", description="whether it comes back by itself")
     cameras: tuple[CameraName, ...] = Field(
         default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
     )
@@ -42,14 +35,12 @@ class PerceptionConfig(Section):
         default=None, description="longest start, loading included; as in [supervisor] when not given"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
-    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class InferenceConfig(Section):
     """`[inference]`: which policy runs, and how."""
 
     backend: Name = Field(description="a backend offered by an installed plugin")
-    restart: Restart = Field(default="never", description="whether it comes back by itself; then it acts again")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
     runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
     acceleration: Name | None = Field(default=None, description="acceleration preset; none when not given")
@@ -64,14 +55,12 @@ class InferenceConfig(Section):
         description="longest start, loading included; when not given 900 with a checkpoint, else as in [supervisor]",
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
-    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class ControlConfig(Section):
     """`[control]`: how actions become joint commands."""
 
     controller: Name = Field(description="a controller offered by an installed plugin")
-    restart: Restart = Field(default="never", description="whether it comes back by itself; then it may move the arm")
     action_timeout_s: Seconds = Field(default=0.5, description="older actions are dropped; then the arm holds")
     state_timeout_s: Seconds = Field(default=0.25, description="older joint states stop the arm")
     server_timeout_s: Seconds = Field(default=2.0, description="the arm holds when the server is frozen this long")
@@ -85,7 +74,6 @@ class ControlConfig(Section):
         default=None, description="longest start, loading included; as in [supervisor] when not given"
     )
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
-    memory_limit_mb: Megabytes | None = Field(default=None, description=_MEMORY)
 
 
 class SupervisorConfig(Section):
@@ -93,10 +81,4 @@ class SupervisorConfig(Section):
 
     start_timeout_s: Seconds = Field(default=60.0, description="spawn until proof of readiness (loading included)")
     stop_timeout_s: Seconds = Field(default=5.0, description="deactivate and SIGTERM before SIGKILL")
-    unresponsive_s: Seconds = Field(default=2.0, description="frozen for this long, a module may be restarted")
-    restart_backoff_s: Annotated[float, Field(ge=0, le=600)] = Field(
-        default=0.5, description="wait before a restart; doubled by each one before it"
-    )
-    restart_limit: Annotated[int, Field(ge=0, le=100)] = Field(default=3, description="most restarts in one window")
-    restart_window_s: Seconds = Field(default=120.0, description="restarts longer ago do not count")
     state_directory: str | None = Field(default=None, description="logs, latch and audit; XDG state when not given")

@@ -27,16 +27,13 @@ from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.events import Events
 from roboneuron.server.features import Features
-from roboneuron.server.guard import Guard
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
-from roboneuron.server.own_log import OwnLog
 from roboneuron.server.pauses import shorten_pauses
 from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
 from roboneuron.server.safety_reports import SafetyReports
@@ -155,7 +152,6 @@ class Application:
         self.loop.on_stop = self.events.tell_stop
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
-        self._log = OwnLog(self.supervisor.log_directory)
         self.notices = ToolNotices()
         reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
         self._watch = Watch(reports.look, (self.events.tell_health,))
@@ -163,7 +159,6 @@ class Application:
         self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.on_health(self._diagnostics.publish)
         self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
-        self.guard = Guard(self.loop, self.events, self.notices.resource_updated)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -172,7 +167,6 @@ class Application:
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
                 *self.direct.tools(self.features.identifies_clients),
-                *record_tools(self.loop, self.guard.incidents),
             ],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
@@ -189,18 +183,16 @@ class Application:
         """Stop all motion, modules and threads; idempotent."""
         self._watch.close()
         self.features.close()
-        self.guard.close()
         self.direct.close()
         self.supervisor.close()
-        self._log.close()
+        self.events.tell_end()
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
         self.supervisor.open()
-        self._log.open()
+        self.events.tell_open()
         self._is_joining = True
         self.direct.open()
-        self.guard.start()
         self._watch.start()
 
     async def _join_ros(self) -> None:

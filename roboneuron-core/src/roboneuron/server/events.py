@@ -13,6 +13,7 @@ from roboneuron.supervisor.watch import Health
 log = logging.getLogger(__name__)
 HealthListener = Callable[[ModuleView, Health, Health], object]
 """Told the module, how it was, and how it is."""
+Listener = Callable[[], object]
 KindListener = Callable[[ModuleKind], object]
 FaultListener = Callable[[str, str, Mapping[str, Any]], object]
 """Told the module, a word for the fault, and facts that JSON can hold."""
@@ -25,10 +26,20 @@ class Events:
     """
 
     def __init__(self) -> None:
+        self._open: list[Listener] = []
+        self._end: list[Listener] = []
         self._health: list[HealthListener] = []
         self._change: list[KindListener] = []
         self._stop: list[KindListener] = []
         self._fault: list[FaultListener] = []
+
+    def on_open(self, listener: Listener) -> None:
+        """Call `listener` first of all when the server begins to serve, before ROS is joined and features start."""
+        self._open.append(listener)
+
+    def on_end(self, listener: Listener) -> None:
+        """Call `listener` last of all when the server has closed everything; possibly twice, and without `on_open`."""
+        self._end.append(listener)
 
     def on_health(self, listener: HealthListener) -> None:
         """Call `listener` whenever the health of a module changed, at most 30 ms later."""
@@ -45,6 +56,16 @@ class Events:
     def on_fault(self, listener: FaultListener) -> None:
         """Call `listener` with each fault that is not a module's health (a lapsed lease, a memory limit)."""
         self._fault.append(listener)
+
+    def tell_open(self) -> None:
+        """The server begins to serve."""
+        for listener in self._open:
+            _call(listener)
+
+    def tell_end(self) -> None:
+        """The server has closed everything."""
+        for listener in self._end:
+            _call(listener)
 
     def tell_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """A module's health changed."""

@@ -1,4 +1,4 @@
-"""MCP resources: the status, and the logs of each module and of the server."""
+"""MCP resources: the status, and the logs of each module."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.observing import status
-from roboneuron.server.records import SOURCES, log_file
 from roboneuron.supervisor.logs import read_tail
 
 STATUS_URI = "roboneuron://status"
@@ -44,7 +44,7 @@ class Resources:
                     description=f"The last {LOG_LINES} lines that {source} has written.",
                     mime_type="text/plain",
                 )
-                for source in SOURCES
+                for source in MODULE_KINDS
             ),
             *(
                 types.Resource(
@@ -67,9 +67,9 @@ class Resources:
         if uri == STATUS_URI:
             text = status(self._loop, self._started_s).model_dump_json(indent=2)
             return types.TextResourceContents(uri=uri, mime_type="application/json", text=text)
-        for source in SOURCES:
+        for source in MODULE_KINDS:
             if uri == f"{LOG_URI}{source}":
-                lines = read_tail(log_file(self._loop, source), lines=LOG_LINES)
+                lines = read_tail(self._loop.supervisor.log_path(source), lines=LOG_LINES)
                 return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
         offered = self._offered.get(uri)
         if offered is not None:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pydantic import Field
 
+from rn_ops.incidents import Incidents
+from rn_ops.server_log import FILE_NAME
+from roboneuron import Arguments, CallContext, Resource, Result, Tool
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.incidents import Incidents
-from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.own_log import FILE_NAME
-from roboneuron.server.tool import Arguments, CallContext, Result, Tool
+from roboneuron.server.resources import LOG_LINES, LOG_URI
 from roboneuron.supervisor.logs import read_tail
+from roboneuron.supervisor.supervisor import Supervisor
 
 Level = Literal["debug", "info", "warning", "error"]
 Source = Literal["robot", "perception", "inference", "control", "server"]
-SOURCES: tuple[Source, ...] = get_args(Source)
 _LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 _RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
 _ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
@@ -97,16 +97,27 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
     return entries
 
 
-def log_file(loop: ClosedLoop, source: Source) -> Path:
+def log_file(supervisor: Supervisor, source: Source) -> Path:
     """Where a module, or the server itself, logs."""
-    return loop.supervisor.log_directory / FILE_NAME if source == "server" else loop.supervisor.log_path(source)
+    return supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
 
 
-def record_tools(loop: ClosedLoop, incidents: Incidents) -> list[Tool[Any]]:
+def server_log_resource(path: Path) -> Resource:
+    """The end of the server's log; the logs of modules are resources of core."""
+    return Resource(
+        uri=f"{LOG_URI}server",
+        name="log of server",
+        title="Log of server",
+        description=f"The last {LOG_LINES} lines that server has written.",
+        read=lambda: "\n".join(read_tail(path, lines=LOG_LINES)),
+    )
+
+
+def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]]:
     """get_logs and list_incidents."""
 
     async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
-        path = log_file(loop, arguments.module)
+        path = log_file(supervisor, arguments.module)
         least = _LEVELS.index(arguments.level)
         entries = [
             entry

@@ -1,4 +1,4 @@
-"""The server's own log as a file beside those of its modules, bounded in size."""
+"""The log file of the server, beside those of its modules, bounded in size."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ class _PrivateFile(RotatingFileHandler):
         return open(self.baseFilename, self.mode, encoding=self.encoding, opener=opener)  # type: ignore[return-value]
 
 
-class OwnLog:
-    """Writes what this process logs, at least from "info" on, from `open` to `close`; other handlers get what they got.
+class ServerLog:
+    """Writes the records of this process's loggers to a file, at least from "info" on, from `open` to `close`.
+
+    Other handlers receive the same records as before.
 
     Args:
         directory: where it is; made when it does not exist.

@@ -1,4 +1,4 @@
-"""Restart policies: what the configuration lets come back by itself, how often, and how soon."""
+"""Restarts of modules after failures: which, how often, and how soon."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError
+from rn_ops.options import OpsOptions
+from roboneuron import RoboNeuronError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.view import ModuleView
@@ -22,14 +22,15 @@ Record = Callable[[ModuleKind, str], None]
 
 
 class Restarts:
-    """Starts modules again that ended or froze, where `[<module>] restart = "on_failure"` allows it.
+    """Starts modules again that ended or froze, where `[ops.restart]` says "on_failure".
 
     Each has a limit within a window; the wait before a restart doubles with every restart in that window. A module that
     is frozen is ended first, once it has been so for `unresponsive_s`.
     """
 
-    def __init__(self, supervisor: Supervisor, record: Record) -> None:
+    def __init__(self, supervisor: Supervisor, options: OpsOptions, record: Record) -> None:
         self._supervisor = supervisor
+        self._options = options
         self._record = record
         self._lock = threading.Lock()
         self._history: dict[ModuleKind, deque[float]] = {kind: deque() for kind in MODULE_KINDS}
@@ -40,7 +41,7 @@ class Restarts:
         """Listener of `Watch`."""
         if health != "exited" and health not in _FROZEN:
             return
-        if view.choice is None or policy(view.choice.settings.config, view.kind) != "on_failure":
+        if view.choice is None or self._options.restart.policy(view.kind) != "on_failure":
             return
         with self._lock:
             if self._closed or view.kind in self._pending:
@@ -77,8 +78,7 @@ class Restarts:
 
     def _attempt(self, view: ModuleView, cancelled: threading.Event) -> None:
         assert view.choice is not None
-        kind, config = view.kind, view.choice.settings.config
-        rules = config.supervisor
+        kind, config, rules = view.kind, view.choice.settings.config, self._options
         if view.phase == "running" and not self._is_still_frozen(view, cancelled, rules.unresponsive_s):
             return
         history = self._history[kind]
@@ -117,9 +117,3 @@ class Restarts:
             if now.process is not view.process or assess(now, time.monotonic()) not in (*_FROZEN, "exited"):
                 return False
         return True
-
-
-def policy(config: Config, kind: ModuleKind) -> str:
-    """Whether a module of that kind comes back by itself: never, on_failure."""
-    section = getattr(config, kind)
-    return section.restart if section is not None else "never"

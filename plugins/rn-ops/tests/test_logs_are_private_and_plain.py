@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from rn_ops.incidents import Incidents
+from rn_ops.records import parse_entries
+from rn_ops.server_log import ServerLog
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.log_files import PlainFormatter, escaped
-from roboneuron.server.incidents import Incidents
-from roboneuron.server.own_log import OwnLog
-from roboneuron.server.records import parse_entries
 from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.process import Spawner
 
@@ -34,7 +34,7 @@ def mode(path: Path) -> int:
 
 def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     state = tmp_path / "state"
-    log = OwnLog(state / "log" / "run")
+    log = ServerLog(state / "log" / "run")
     log.open()
     logging.getLogger("t").warning("x")
     log.close()

@@ -55,7 +55,7 @@ def measure_image_transport() -> ImageTransport:
         link.subscribe(Image, topic, lambda m: ages_ms.append((time.time_ns() - to_ns(m.header.stamp)) / 1e6), NEWEST)
         try:
             sender = subprocess.run(
-                [sys.executable, "-P", "-m", "roboneuron.doctor.images", topic],
+                [sys.executable, "-P", "-m", "rn_doctor.images", topic],
                 capture_output=True,
                 text=True,
                 timeout=_TIMEOUT_S,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import platform
@@ -13,9 +14,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from rn_doctor.finding import Check, Finding, Verdict, failed, ok, warning
+from rn_doctor.images import measure_image_transport
 from roboneuron.config import Config
-from roboneuron.doctor.finding import Check, Finding, Verdict, failed, ok, warning
-from roboneuron.doctor.images import measure_image_transport
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
@@ -195,7 +196,7 @@ def _chosen(config: Config, registry: Registry) -> str:
 def _gpu(_: Config) -> Finding:
     if importlib.util.find_spec("torch") is None:
         return ok("torch is not installed: model backends cannot run, visual servoing needs none.")
-    import torch  # type: ignore[import-not-found, unused-ignore]  # heavy
+    torch = importlib.import_module("torch")  # heavy; an optional part of the machine, not of this package
 
     if not torch.cuda.is_available():
         return warning(

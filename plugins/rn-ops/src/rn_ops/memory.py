@@ -1,4 +1,4 @@
-"""A bound on the memory of each module: what a plugin eats is not taken from the processes that hold the arm."""
+"""Memory limits of module processes: a leaking plugin must not starve the processes that hold the arm."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from weakref import WeakSet
 
+from rn_ops.options import MemoryOptions
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Slot
@@ -35,13 +36,14 @@ def own_memory_mb(pid: int) -> float | None:
 
 
 class MemoryWatch:
-    """Ends modules that hold more than `[<module>] memory_limit_mb`; looks every 50 ms, at starting ones too.
+    """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at starting ones too.
 
     Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
     """
 
-    def __init__(self, supervisor: Supervisor, record: Record) -> None:
+    def __init__(self, supervisor: Supervisor, limits: MemoryOptions, record: Record) -> None:
         self._supervisor = supervisor
+        self._limits = limits
         self._record = record
         self._ended: WeakSet[ModuleProcess] = WeakSet()
         self._stop = threading.Event()
@@ -66,15 +68,14 @@ class MemoryWatch:
                 self._check(slot)
 
     def _check(self, slot: Slot) -> None:
-        process, choice = slot.process, slot.choice
-        if process is None or choice is None or process.exit_code is not None or process in self._ended:
+        process = slot.process
+        if process is None or process.exit_code is not None or process in self._ended:
             return
-        section = getattr(choice.settings.config, slot.kind)
-        limit_mb = section.memory_limit_mb if section is not None else None
+        limit_mb = self._limits.limit_mb(slot.kind)
         used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
         if limit_mb is None or used_mb is None or used_mb <= limit_mb:
             return
-        why = f"ended: it holds {used_mb:.0f} MB, [{slot.kind}] memory_limit_mb = {limit_mb} are allowed"
+        why = f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {slot.kind} = {limit_mb} are allowed"
         log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
         self._ended.add(process)
         process.note(f"supervisor: {slot.kind} is {why}.")

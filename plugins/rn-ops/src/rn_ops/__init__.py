@@ -1,0 +1,1 @@
+"""Operations: incident records, restarts, memory limits, logs and the doctor."""

@@ -1,0 +1,90 @@
+"""The feature: incident records, restarts, memory limits and the server's log."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from rn_ops.incidents import FOLDER, Incidents
+from rn_ops.memory import MemoryWatch
+from rn_ops.options import OpsOptions
+from rn_ops.records import record_tools, server_log_resource
+from rn_ops.restarts import Restarts
+from rn_ops.server_log import ServerLog
+from roboneuron import Feature, Host, Resource, Tool
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.results import module_status
+from roboneuron.supervisor.view import ModuleView
+from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
+
+log = logging.getLogger(__name__)
+_ACTIONS = 30
+_ORDINARY = frozenset({"ungrounded"})
+"""An instruction that a backend cannot follow is an answer, not a fault."""
+
+
+class Operations(Feature[OpsOptions]):
+    """Records what goes wrong in one server, and restarts and ends module processes as configured."""
+
+    _incidents: Incidents
+    _restarts: Restarts | None = None
+    _memory: MemoryWatch | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """get_logs and list_incidents."""
+        self._host = host
+        self._incidents = Incidents(host.state_directory / FOLDER)
+        self._restarts = Restarts(host.supervisor, self.options, self._note_restart)
+        self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
+        self._log = ServerLog(host.supervisor.log_directory)
+        host.events.on_open(self._log.open)
+        host.events.on_end(self._log.close)
+        host.events.on_stop(self._restarts.cancel)
+        host.events.on_health(self._record)
+        host.events.on_health(self._restarts.on_health)
+        host.events.on_fault(self._incidents.record)
+        return record_tools(host.supervisor, self._incidents)
+
+    def resources(self, host: Host) -> Sequence[Resource]:
+        """The server's log."""
+        return [server_log_resource(self._log.path)]
+
+    def start(self, host: Host) -> None:
+        """Begin to watch the memory of modules."""
+        assert self._memory is not None
+        self._memory.start()
+
+    def close(self) -> None:
+        """End restarts and the memory watch; the log goes on until the server has ended."""
+        if self._restarts is not None:
+            self._restarts.close()
+        if self._memory is not None:
+            self._memory.close()
+
+    def _record(self, view: ModuleView, before: Health, health: Health) -> None:
+        if health not in FAULTS:
+            return
+        if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
+            return
+        status = module_status(view).model_dump(mode="json")
+        lines = list(view.process.last_lines()) if view.process is not None else []
+        self._incidents.record(
+            view.kind,
+            health,
+            {
+                "before": before,
+                "explanation": EXPLANATIONS[health],
+                "status": status,
+                "log": lines,
+                "actions": self._host.loop.last_actions(_ACTIONS),
+            },
+        )
+
+    def _note_restart(self, kind: ModuleKind, what: str) -> None:
+        log.warning("%s: %s.", kind, what)
+        self._host.events.tell_fault(kind, "restart", {"explanation": what})
+
+    def _note_memory(self, kind: ModuleKind, what: str) -> None:
+        facts = {"explanation": what, "actions": self._host.loop.last_actions(_ACTIONS)}
+        self._host.events.tell_fault(kind, "memory", facts)

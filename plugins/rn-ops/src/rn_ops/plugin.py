@@ -1,0 +1,30 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="ops",
+    summary="Records incidents, restarts modules, bounds their memory and keeps the server's log.",
+    target="rn_ops.feature:Operations",
+    config="rn_ops.options:OpsOptions",
+)
+"""Descriptor of the feature."""
+
+COMMAND = CommandSpec(
+    name="doctor",
+    summary="check whether this machine and a configuration are ready",
+    target="rn_doctor.command:Doctor",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)
