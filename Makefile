@@ -10,7 +10,7 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
-  plugins/rn-demo plugins/rn-fastdds
+  plugins/rn-demo plugins/rn-fastdds plugins/rn-tools-ros plugins/rn-tools-arm
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
@@ -94,7 +94,8 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 	@touch $@
 
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
-	$(PIP) --constraint constraints.txt --editable roboneuron-core --editable plugins/rn-robot-bases
+	$(PIP) --constraint constraints.txt --editable roboneuron-core --editable plugins/rn-robot-bases \
+	  --editable plugins/rn-tools-ros
 	@touch $@
 
 # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
