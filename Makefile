@@ -14,7 +14,8 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
-  plugins/rn-demo plugins/rn-fastdds plugins/rn-ops
+  plugins/rn-demo plugins/rn-fastdds plugins/rn-ops plugins/rn-tools-ros \
+  plugins/rn-tools-arm
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
@@ -106,7 +107,7 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
-	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases)
+	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-tools-ros)
 	@touch $@
 
 $(VENV)/.docs: constraints.txt | $(BIN)/python

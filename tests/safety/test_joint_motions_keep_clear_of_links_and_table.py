@@ -19,10 +19,11 @@ from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError
 from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
+from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_joint_trajectory
-from roboneuron.server.direct.endpoints import exposure
-from roboneuron.server.direct.kinematics import ArmPaths
+from roboneuron.server.motion.exposed import profile_endpoints
+from roboneuron.server.motion.kinematics import ArmPaths
 
 COMMANDED = JOINTS[:8]
 HOME = np.array([*HOME_RAD, FINGER_OPEN_M])
@@ -39,7 +40,8 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
         config = parse_config(f'[robot]\nname = "fr3"\n[control]\ncontroller = "urdf"\n[limits]\n{limits}')
         registry = discover(())
         paths = ArmPaths(config, lambda: registry)
-        exposed = next(e for e in exposure(config, registry).endpoints if e.label == "joint_trajectory")
+        offered = profile_endpoints("fr3", config.namespace, load_profile(registry, "fr3"))
+        exposed = next(e for e in offered if e.label == "joint_trajectory")
         assert exposed.profile is not None
         free = exposed.profile if workspace else replace(exposed.profile, workspace=None)
         entry = replace(exposed.allowed(), rules=paths.rules("fr3", free), path=lambda: paths.limiter("fr3", free))

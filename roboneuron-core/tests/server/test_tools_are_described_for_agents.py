@@ -23,8 +23,7 @@ TOOLS = {
     *("stop_robot", "stop_perception", "stop_control", "stop_inference", "stop_all"),
     *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
     *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
-    *("list_accelerations", "list_interfaces", "describe_interface", "list_topics", "list_nodes"),
-    *("move_ee", "read_joint_states"),  # derived from the robot's profile
+    "list_accelerations",
 }
 
 

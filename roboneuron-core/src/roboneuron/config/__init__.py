@@ -12,16 +12,13 @@ from roboneuron.config.modules import (
 )
 from roboneuron.config.reading import EMBEDDED_DEFAULT, default_text, load_config, parse_config
 from roboneuron.config.section import Reaction
-from roboneuron.config.serving import DirectConfig, DiscoverConfig, ExposeConfig, ServerConfig
+from roboneuron.config.serving import ServerConfig
 from roboneuron.config.whole import Config
 
 __all__ = [
     "EMBEDDED_DEFAULT",
     "Config",
     "ControlConfig",
-    "DirectConfig",
-    "DiscoverConfig",
-    "ExposeConfig",
     "InferenceConfig",
     "LimitsConfig",
     "PerceptionConfig",

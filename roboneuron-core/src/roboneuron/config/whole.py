@@ -16,7 +16,7 @@ from roboneuron.config.modules import (
     SupervisorConfig,
 )
 from roboneuron.config.section import Section
-from roboneuron.config.serving import DirectConfig, DiscoverConfig, ExposeConfig, ServerConfig
+from roboneuron.config.serving import ServerConfig
 
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
@@ -32,9 +32,6 @@ class Config(Section):
     limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     server: ServerConfig = ServerConfig()
-    direct: DirectConfig = DirectConfig()
-    expose: tuple[ExposeConfig, ...] = Field(default=(), strict=False, description="see `[[expose]]`")
-    discover: tuple[DiscoverConfig, ...] = Field(default=(), strict=False, description="see `[[discover]]`")
     disabled_plugins: tuple[str, ...] = Field(default=(), strict=False, description="distributions not to load")
     features: tuple[str, ...] = Field(
         default=(), strict=False, description="features without which the server does not start"

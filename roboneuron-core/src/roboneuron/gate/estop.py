@@ -125,9 +125,7 @@ class EmergencyStopLatch:
         if self.is_latched():
             state = self.read_state()
             cause = f" by {state.who}: {state.reason}" if state.who else ""
-            raise RefusedError(
-                f"The emergency stop is latched{cause}. Nothing was sent.", hint="It has to be reset first."
-            )
+            raise RefusedError(f"The emergency stop is latched{cause}.", hint="It has to be reset first.")
 
     def read_state(self) -> LatchState:
         """Who latched it and why, as far as the file tells."""

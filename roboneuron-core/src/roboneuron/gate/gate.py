@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from roboneuron.errors import RefusedError, RoboNeuronError
@@ -111,6 +112,18 @@ class Gate:
             raise cause
         return verdict
 
+    def check_next(self, request: GateRequest) -> None:
+        """Judge one more message of a motion that was allowed; only a refusal is written down.
+
+        Raises:
+            RefusedError: refused; the motion has to end.
+        """
+        try:
+            self._judge(replace(request, repeated=True), self._dry_run)
+        except _Refusal as refusal:
+            self._write(request, Verdict(allowed=False, reason=str(refusal.cause), rule=refusal.rule))
+            raise refusal.cause from refusal
+
     def check_running(self) -> None:
         """Raise RefusedError when motion that is under way has to end: latched, or the audit failed.
 
@@ -157,10 +170,16 @@ class Gate:
             _apply("steering", check_steering, endpoint, message)
         self._check_joints(entry, request)
         if endpoint.kind != "read":
-            _apply("emergency_stop", self.latch.check)
+            _apply("emergency_stop", self._check_latch)
         if not request.repeated:
             self._check_rate(rate, request, dry_run)
         return tuple(clamped)
+
+    def _check_latch(self) -> None:
+        try:
+            self.latch.check()
+        except RefusedError as error:
+            raise RefusedError(f"{error.message} Nothing was sent.", hint=error.hint) from error
 
     def _check_joints(self, entry: AllowedEndpoint, request: GateRequest) -> None:
         if not entry.endpoint.joint_limited:

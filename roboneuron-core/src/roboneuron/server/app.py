@@ -24,11 +24,11 @@ from roboneuron.server.access import holder_of, watching
 from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
-from roboneuron.server.direct.path import DirectPath
 from roboneuron.server.events import Events
 from roboneuron.server.features import Features
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.motion.path import DirectPath
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.pauses import shorten_pauses
@@ -159,22 +159,22 @@ class Application:
         self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.on_health(self._diagnostics.publish)
         self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
-        self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
+        self.direct = DirectPath(self.loop, self.loop.emergency_stop.file)
         self.tools = ToolRegistry(
             [
                 *observing_tools(self.loop, self.started_s),
                 *closed_loop_tools(self.loop),
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
-                *self.direct.tools(self.features.identifies_clients),
             ],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
+            on_change=self.notices.tools_changed,
         )
         self.host = Host(self)
-        offered = self.features.offer(self.host, self.tools)
-        self.direct.fill(self.tools)
         self.events.on_change(self._on_module)
+        offered = self.features.offer(self.host, self.tools)
+        self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
         self._questions = Questions()
         self.server = self._build(config.server.name)
@@ -192,7 +192,6 @@ class Application:
         self.supervisor.open()
         self.events.tell_open()
         self._is_joining = True
-        self.direct.open()
         self._watch.start()
 
     async def _join_ros(self) -> None:
@@ -216,14 +215,17 @@ class Application:
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
-        self.direct.desk.end_all(reason, timeout_s)
+        self.direct.arbiter.end_all(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""
         if kind == "robot":
-            self.direct.refresh()
+            try:
+                self.direct.allow_list.refresh()
+            except RoboNeuronError as error:
+                log.error("What the robot offers cannot be exposed: %s", error)
 
     def _build(self, name: str) -> Server[Any]:
         async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:

@@ -72,6 +72,8 @@ class Features:
                 resources.extend(feature.resources(host))
 
             self._attempt(spec, "asked for its tools", add)
+            if spec.name in self.failed:
+                tools.replace_derived(spec.name, ())
         return resources
 
     def start(self, host: Host) -> None:

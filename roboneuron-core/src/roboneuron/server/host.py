@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.errors import StateError
+from roboneuron.server.graph import RosGraph
 
 if TYPE_CHECKING:
     from mcp.server import Server
 
     from roboneuron.config import Config
-    from roboneuron.gate import AuditLog, Gate
+    from roboneuron.gate import AuditLog
     from roboneuron.plugins.registry import Registry
     from roboneuron.server.app import Application
     from roboneuron.server.events import Events
     from roboneuron.server.loop import ClosedLoop
+    from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.supervisor.supervisor import Supervisor
 
@@ -32,6 +34,7 @@ class Host:
 
     def __init__(self, application: Application) -> None:
         self._application = application
+        self._graph = RosGraph(lambda: application.supervisor.link)
 
     @property
     def config(self) -> Config:
@@ -54,9 +57,14 @@ class Host:
         return self._application.supervisor
 
     @property
-    def gate(self) -> Gate:
-        """The gate in front of everything that moves a robot."""
-        return self._application.direct.gate
+    def gate(self) -> MotionGate:
+        """The gate in front of everything that moves a robot: sends what it allows, and lends no publisher."""
+        return self._application.direct.lent
+
+    @property
+    def graph(self) -> RosGraph:
+        """What the ROS graph shows now."""
+        return self._graph
 
     @property
     def audit(self) -> AuditLog:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import uuid
 from base64 import b64encode
 from collections import Counter
@@ -36,6 +37,7 @@ class ToolRegistry:
         tools: the first ones.
         most_calls: more calls at once of clients of one role are refused, so that those who look on cannot hold up
             those who act; what stops something is never refused.
+        on_change: called, from any thread, when the listed derived tools changed.
         ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
     """
 
@@ -45,14 +47,18 @@ class ToolRegistry:
         *,
         most_calls: int = 64,
         ready: Callable[[], Awaitable[None]] | None = None,
+        on_change: Callable[[], object] = lambda: None,
     ) -> None:
         self._admissions: list[Admission] = []
         self._ready = ready
+        self._on_change = on_change
+        self._lock = threading.Lock()
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
         self._tools: dict[str, Tool[Any]] = {}
         self._output_schemas: dict[str, Schema] = {}
         self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
+        self._owners: dict[str, list[str]] = {}
         for tool in tools:
             self.add(tool)
 
@@ -94,28 +100,33 @@ class ToolRegistry:
         self._tools.pop(name, None)
         self._output_schemas.pop(name, None)
 
-    def names(self) -> frozenset[str]:
-        """Names of the tools that are not derived."""
-        return frozenset(self._tools)
+    def names(self, besides: str = "") -> frozenset[str]:
+        """Names of all tools but the derived ones of the owner `besides`."""
+        return frozenset((*self._tools, *self._derived)) - {*self._owners.get(besides, ())}
 
-    def derived(self) -> list[DerivedTool]:
-        """All derived tools, listed or not."""
-        return [tool for tool, _ in self._derived.values()]
+    def derived(self, owner: str = "") -> list[DerivedTool]:
+        """The derived tools of an owner, or all of them; listed or not."""
+        names = self._owners.get(owner, ()) if owner else self._derived
+        return [self._derived[name][0] for name in names]
 
-    def replace_derived(self, tools: Iterable[DerivedTool]) -> bool:
-        """Have these derived tools and no others; returns whether the listing changed. Callable from any thread.
+    def replace_derived(self, owner: str, tools: Iterable[DerivedTool]) -> None:
+        """Have these derived tools of an owner and no others of it; callable from any thread.
 
         Raises:
-            InternalError: a name comes twice.
+            InternalError: there is another tool of a name.
         """
-        made: dict[str, tuple[DerivedTool, types.Tool]] = {}
-        for tool in tools:
-            if tool.name in self._tools or tool.name in made:
-                raise InternalError(f"There are two tools called {tool.name!r}.")
-            made[tool.name] = (tool, _described(tool, tool.input_schema, tool.output_schema))
-        before = {name: shown for name, (tool, shown) in self._derived.items() if tool.listed}
-        self._derived = made
-        return before != {name: shown for name, (tool, shown) in made.items() if tool.listed}
+        described = [(tool, _described(tool, tool.input_schema, tool.output_schema)) for tool in tools]
+        with self._lock:
+            before = self._derived
+            made = {name: entry for name, entry in before.items() if name not in self._owners.get(owner, ())}
+            for tool, shown in described:
+                if tool.name in self._tools or tool.name in made:
+                    raise InternalError(f"There are two tools called {tool.name!r}.")
+                made[tool.name] = (tool, shown)
+            self._derived = made
+            self._owners[owner] = [tool.name for tool, _ in described]
+        if _listed(before) != _listed(made):
+            self._on_change()
 
     def listing(self, role: str = ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role: what they may call."""
@@ -200,6 +211,10 @@ class ToolRegistry:
 
     def _input_schema(self, tool: Tool[Any]) -> Schema:
         return input_schema(tool.arguments, {name: ask() for name, ask in tool.choices.items()})
+
+
+def _listed(derived: Mapping[str, tuple[DerivedTool, types.Tool]]) -> dict[str, types.Tool]:
+    return {name: shown for name, (tool, shown) in derived.items() if tool.listed}
 
 
 def _described(tool: Tool[Any] | DerivedTool, input_schema: Schema, output_schema: Schema) -> types.Tool:

@@ -1,0 +1,225 @@
+"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until the arm is there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from pydantic import Field
+
+from roboneuron.contract import JointSample
+from roboneuron.errors import InvalidInputError, NotReadyError, StateError
+from roboneuron.gate.acceleration import shortest_s
+from roboneuron.gate.joint_limits import JointLimit, joint_limits
+from roboneuron.server.arguments import (
+    Number,
+    Schema,
+    boolean,
+    check_names,
+    object_schema,
+    take_flag,
+    take_object,
+)
+from roboneuron.server.motion.delivery import Command
+from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.gate import MotionGate
+from roboneuron.server.motion.joint_commands import TRAJECTORY
+from roboneuron.server.motion.requests import gate_request
+from roboneuron.server.schema import output_schema
+from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
+
+_EASY, _EASY_ACCELERATION = 0.4, 0.5
+"""Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
+_NEARLY = 0.95
+"""Share of what a joint may do so near to its limit."""
+_SETTLE_S = 3.0
+_MEASURED_S = 2.0
+"""Longest wait for a measurement, and for the robot to subscribe."""
+
+
+class JointMove(Result):
+    """What the arm did, measured."""
+
+    robot: str
+    position: dict[str, float] = Field(description="measured at the end [rad or m]")
+    error: float = Field(description="largest distance from the target [rad or m]")
+    duration_s: float
+    dry_run: bool
+    allowed: bool
+    reason: str
+
+
+def joint_tools(endpoints: Iterable[Exposed], gate: MotionGate) -> list[DerivedTool]:
+    """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
+    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None)
+    if found is None or found.profile is None:
+        return []
+    limits = joint_limits(found.profile)
+    mover = _JointMover(found, limits, gate)
+    joints: Schema = {
+        "type": "object",
+        "properties": {
+            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper} for name, limit in limits.items()
+        },
+        "minProperties": 1,
+        "additionalProperties": False,
+        "description": "Target by joint, rad or m; the others stay where they are.",
+    }
+    return [
+        DerivedTool(
+            name="move_joints",
+            title="Move joints",
+            description=(
+                f"Move joints of {found.robot!r} to positions [rad, m], within their position and velocity limits. "
+                "Needs start_robot; refused while a policy runs. Returns when they are measured there."
+            ),
+            input_schema=object_schema(
+                {
+                    "positions": joints,
+                    "duration_s": mover.duration.schema(),
+                    "dry_run": boolean("Only answer what would happen; nothing is sent."),
+                },
+                ["positions"],
+            ),
+            output_schema=output_schema(JointMove),
+            handler=mover,
+        )
+    ]
+
+
+class _JointMover:
+    """The handler of move_joints."""
+
+    def __init__(self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate) -> None:
+        self._exposed = exposed
+        self._limits = limits
+        self._gate = gate
+        self.duration = Number(
+            text="Time for the move [s]; an easy pace when omitted.", low=0.0, high=gate.max_duration_s, above=True
+        )
+
+    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        check_names(arguments, ["positions", "duration_s", "dry_run"])
+        given = take_object(arguments, "positions", required=True)
+        if not given:
+            raise InvalidInputError("positions names no joint.", path="positions")
+        check_names(given, list(self._limits))
+        target = {}
+        for name in given:
+            limit = self._limits[name]
+            bounds = Number(text="", low=limit.lower, high=limit.upper)
+            target[name] = bounds.take(name, given)
+        asked_s = self.duration.take("duration_s", arguments) if arguments.get("duration_s") is not None else None
+        dry_run = take_flag(arguments, "dry_run")
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: self._move(target, asked_s, arguments, context, dry_run, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
+        )
+
+    def _move(
+        self, target: Mapping[str, float], asked_s: float | None, arguments: Mapping[str, Any], context: CallContext,
+        dry_run: bool, stage: Stage, halt: threading.Event,
+    ) -> Answer:  # fmt: skip
+        exposed, gate = self._exposed, self._gate
+        joints = gate.joints(exposed, _MEASURED_S)
+        if joints is None:
+            raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
+        duration_s = asked_s or self._easy_s(target, joints)
+        request = gate_request(
+            context,
+            "move_joints",
+            exposed,
+            [_message(exposed, target, duration_s)],
+            arguments,
+            joints=joints,
+            dry_run=dry_run,
+        )
+        if asked_s is None and (slower := gate.slowdown(request)) > 1.0:
+            duration_s *= slower * 1.01  # rounding
+            request = replace(request, messages=(_message(exposed, target, duration_s),))
+        if dry_run:
+            verdict = gate.ask(exposed, request)
+            return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
+        commands = self._commands(target, request.messages[0], duration_s, stage)
+        sent = gate.play(exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt)
+        if not sent.verdict.may_send:
+            return self._answer(target, joints, 0.0, True, "", True)
+        return self._answer(target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False)
+
+    def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
+        """Duration at which every joint uses at most a share of its velocity limit."""
+        needed = [0.5]
+        for name, value in target.items():
+            limit, start = self._limits[name], _position(joints, name)
+            distance, fastest = abs(value - start), limit.fastest(start, value)
+            needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
+            needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
+        return max(needed)
+
+    def _is_there(self, target: Mapping[str, float], joints: JointSample) -> bool:
+        profile = self._exposed.profile
+        assert profile is not None
+        return all(abs(value - _position(joints, name)) < profile.tolerance(name) for name, value in target.items())
+
+    def _commands(
+        self, target: Mapping[str, float], message: Any, duration_s: float, stage: Stage
+    ) -> Iterator[Command]:
+        """The trajectory, then waiting until the arm is measured at its end.
+
+        Raises:
+            StateError: the joints are not measured any more, or do not get there.
+        """
+        began_s = told_s = time.monotonic()
+        yield Command(message=message, due_s=began_s)
+        while True:
+            now_s = time.monotonic()
+            joints = self._gate.newest_joints(self._exposed)
+            if joints is None:
+                raise StateError("The joints are not measured any more.", hint="See get_status.")
+            if now_s - began_s >= duration_s * 0.9 and self._is_there(target, joints):
+                return
+            if now_s - began_s > duration_s + _SETTLE_S:
+                off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
+                raise StateError(f"The joints do not come nearer to the target; they are off by {off} [rad or m].")
+            if now_s - told_s >= 0.5:
+                told_s = now_s
+                stage(f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} to go")
+            yield Command(message=None, due_s=now_s + 0.02)
+
+    def _answer(
+        self, target: Mapping[str, float], joints: JointSample, duration_s: float, allowed: bool, reason: str,
+        dry_run: bool,
+    ) -> Answer:  # fmt: skip
+        return Answer(
+            structured={
+                "robot": self._exposed.robot,
+                "position": {name: round(_position(joints, name), 5) for name in target},
+                "error": round(_error(target, joints), 5),
+                "duration_s": round(duration_s, 3),
+                "dry_run": dry_run,
+                "allowed": allowed,
+                "reason": reason,
+            }
+        )
+
+
+def _message(exposed: Exposed, target: Mapping[str, float], duration_s: float) -> Any:
+    """A JointTrajectory of one point."""
+    point = {"positions": list(target.values()), "time_from_start": duration_s}
+    return exposed.message.encode({"joint_names": list(target), "points": [point]}, now_ns=0)
+
+
+def _position(joints: JointSample, name: str) -> float:
+    if name not in joints.names:
+        raise NotReadyError(f"Joint {name!r} is not measured.", hint="See get_status.")
+    return float(joints.position[joints.names.index(name)])
+
+
+def _error(target: Mapping[str, float], joints: JointSample) -> float:
+    return max(abs(value - _position(joints, name)) for name, value in target.items())

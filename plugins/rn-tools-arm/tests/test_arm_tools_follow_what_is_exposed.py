@@ -1,0 +1,63 @@
+"""The arm tools need only the core, and are there as long as the robot's endpoints are exposed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rn_tools_arm.plugin import FEATURE
+from rn_tools_ros.plugin import FEATURE as ROS_FEATURE
+from roboneuron.config import parse_config
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.server.app import Application
+from roboneuron.server.motion.exposed import renamed
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.fakes import fake_registry
+
+Make = Callable[..., Application]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    """Return a function that builds an application for the fake arm with some features."""
+    made: list[Application] = []
+
+    def build(*features: FeatureSpec, text: str = "") -> Application:
+        registry = fake_registry(*features)
+        application = Application(
+            parse_config('[robot]\nname = "gantry"\n' + text),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        return application
+
+    yield build
+    for application in made:
+        application.close()
+
+
+def names(application: Application) -> set[str]:
+    return {tool.name for tool in application.tools.listing()}
+
+
+def test_core_alone_is_enough(make: Make) -> None:
+    bare, with_arm = make(), make(FEATURE)
+    assert names(with_arm) - names(bare) == {"move_ee"}  # this robot exposes no trajectories
+
+
+def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:
+    assert "move_ee" in names(make(FEATURE, ROS_FEATURE))
+    assert "move_ee" not in names(make(FEATURE, ROS_FEATURE, text="[direct]\nprofile = false\n"))
+
+
+def test_no_feature_exposes_what_core_keeps_for_itself(make: Make) -> None:
+    gate = make().host.gate
+    action = next(e for e in gate.exposed if e.hidden)
+    with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
+        gate.expose("another", [renamed(action, "mine")])
+    assert action in gate.exposed

@@ -1,0 +1,1 @@
+"""Typed tools for ROS topics, services, actions and parameters, derived from their interfaces at run time."""

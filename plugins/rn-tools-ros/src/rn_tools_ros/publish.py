@@ -1,0 +1,128 @@
+"""publish_<name>: one message to whoever listens, or a value that lasts and ends in the stop message."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, encode_argument, verdict_fields
+from rn_tools_ros.targets import Targets
+from roboneuron.errors import InvalidInputError
+from roboneuron.server.arguments import Number, check_names, take_flag
+from roboneuron.server.motion.delivery import Step
+from roboneuron.server.motion.ending import Sent
+from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.gate import MotionGate
+from roboneuron.server.motion.joint_commands import duration_s as trajectory_s
+from roboneuron.server.motion.requests import gate_request
+from roboneuron.server.tool import Answer, CallContext, Result, Stage
+
+
+class ClampedValue(Result):
+    """A value that was moved to its limit."""
+
+    path: str
+    asked: float
+    sent: float
+
+
+class Delivery(Result):
+    """What was sent, to how many; or, in a dry run, what would happen."""
+
+    robot: str
+    topic: str
+    type: str
+    sent: int = Field(description="messages, repetitions and the stop message included")
+    subscribers: int = Field(description="how many were matched when it was sent")
+    duration_s: float = Field(description="how long it took")
+    stopped: bool = Field(description="a message that stops was sent at the end")
+    clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
+    dry_run: bool = Field(description="it was only a question; nothing was sent")
+    allowed: bool
+    rule: str = Field(description="dry run: the rule that would refuse")
+    reason: str = Field(description="dry run: why")
+
+
+def duration_argument(gate: MotionGate) -> Number:
+    """How long a value lasts."""
+    return Number(
+        text="How long it lasts, in seconds; then it is stopped. Joints get there within it.",
+        low=0.0, high=gate.max_duration_s, default=1.0, above=True,
+    )  # fmt: skip
+
+
+class Publishing:
+    """The handler of one publish tool."""
+
+    def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
+        self._gate = gate
+        self._targets = targets
+        self._tool = tool
+        self._duration = duration_argument(gate)
+        lasting = targets.lasting
+        self._names = [*targets.arguments, "message", *(["duration_s"] if lasting else []), "timeout_s", "dry_run"]
+
+    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
+        check_names(arguments, self._names)
+        exposed = self._targets.take(arguments)
+        timeout_s = SUBSCRIBER_TIMEOUT.take("timeout_s", arguments)
+        dry_run = take_flag(arguments, "dry_run")
+        duration_s = self._duration.take("duration_s", arguments) if self._targets.lasting else 0.0
+        step = encode_step(exposed, arguments, "message", duration_s)
+        if self._targets.trajectory:
+            step.duration_s = trajectory_s(step.message)
+            if step.duration_s > self._gate.max_duration_s:
+                raise InvalidInputError(
+                    f"The trajectory would last {step.duration_s:g} s, allowed is {self._gate.max_duration_s:g} s.",
+                    path="message.points",
+                )
+        request = gate_request(
+            context, self._tool, exposed, [step.message], arguments,
+            joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
+            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=dry_run,
+        )  # fmt: skip
+        if not step.duration_s:
+            sent = self._gate.publish_now(exposed, request)
+            if sent is not None:
+                return to_answer(exposed, sent)
+        halt = threading.Event()
+
+        def work(stage: Stage) -> Sent:
+            return self._gate.publish(exposed, request, [step], timeout_s=timeout_s, stage=stage, halt=halt)
+
+        return to_answer(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
+
+
+def encode_step(exposed: Exposed, arguments: Mapping[str, Any], name: str, duration_s: float) -> Step:
+    """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
+    message = encode_argument(exposed.message, arguments, name)
+    return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, arguments.get(name) or {}))
+
+
+def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
+    """Whether the message has a header whose stamp the agent left to us."""
+    if not any(field.name == "header" for field in exposed.message.fields):
+        return False
+    header = value.get("header")
+    return not (isinstance(header, Mapping) and header.get("stamp") is not None)
+
+
+def to_answer(exposed: Exposed, sent: Sent) -> Answer:
+    """A `Delivery`, without the time that a model takes: a message may be sent a thousand times a second."""
+    return Answer(
+        structured={
+            "robot": exposed.robot,
+            "topic": exposed.topic,
+            "type": exposed.endpoint.type,
+            "sent": sent.messages,
+            "subscribers": sent.subscribers,
+            "duration_s": round(sent.duration_s, 6),
+            "stopped": sent.stopped,
+            "clamped": [{"path": c.path, "asked": c.asked, "sent": c.sent} for c in sent.verdict.clamped],
+            **verdict_fields(sent.verdict),
+        }
+    )

@@ -1,0 +1,127 @@
+"""The allow list of direct motion: what core and features expose, checked together, in force at once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError
+from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
+from roboneuron.modules.plugin import load_profile
+from roboneuron.plugins.registry import Registry
+from roboneuron.server.motion.exposed import Exposed, action_endpoint, check_stop, profile_endpoints
+from roboneuron.server.motion.kinematics import ArmPaths
+from roboneuron.server.motion.topic_limits import check_reserved, same_for_each_topic
+
+log = logging.getLogger(__name__)
+
+
+class AllowList:
+    """Endpoints by who exposes them; usable from any thread.
+
+    Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits belong to topics:
+    two features that expose one topic share every limit of both.
+    """
+
+    def __init__(self, gate: Gate, config: Callable[[], Config], registry: Callable[[], Registry]) -> None:
+        """Args:
+        gate: judges by the list.
+        config: the configuration with the present robot.
+        registry: the plugins that are installed now.
+        """
+        self._gate = gate
+        self._config = config
+        self._registry = registry
+        self._paths = ArmPaths(config(), registry)
+        self._lock = threading.RLock()
+        self._by_owner: dict[str, tuple[Exposed, ...]] = {}
+        self._instead: frozenset[str] = frozenset()
+        self._exposed: tuple[Exposed, ...] = ()
+        self._listeners: list[Callable[[], object]] = []
+
+    @property
+    def exposed(self) -> tuple[Exposed, ...]:
+        """What is in force; the action topic of an arm is among it, hidden."""
+        return self._exposed
+
+    def on_change(self, listener: Callable[[], object]) -> None:
+        """Call `listener` after each change, from the thread that made it."""
+        self._listeners.append(listener)
+
+    def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
+        """Have these endpoints of an owner and no others of it.
+
+        Args:
+            owner: name of the feature.
+            endpoints: with names and limits.
+            instead_of_profile: the endpoints of the robot's profile are exposed only if they are among these.
+
+        Raises:
+            ConfigurationError: one may not be exposed, or two contradict each other; the old list stays.
+            PluginError, MissingDependencyError: the robot's profile cannot be loaded.
+        """
+        with self._lock:
+            before = self._by_owner, self._instead
+            self._by_owner = {**self._by_owner, owner: tuple(endpoints)}
+            if instead_of_profile:
+                self._instead |= {owner}
+            try:
+                self._apply()
+            except Exception:
+                self._by_owner, self._instead = before
+                raise
+        self._tell()
+
+    def refresh(self) -> None:
+        """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""
+        with self._lock:
+            if not self._instead:
+                self._apply()
+        self._tell()
+
+    def _apply(self) -> None:
+        listed = [*self._profile(), *(e for endpoints in self._by_owner.values() for e in endpoints)]
+        if len(self._by_owner) > 1 or not self._instead:
+            listed = same_for_each_topic(listed, {})
+        config = self._config()
+        robots = {config.namespace: config.robot.name, **{e.namespace: e.robot for e in listed if not e.hidden}}
+        names: set[tuple[str, str]] = set()
+        for exposed in listed:
+            check_reserved(exposed, robots)
+            check_endpoint(exposed.endpoint)
+            check_stop(exposed)
+            name = exposed.robot, exposed.endpoint.name
+            if name in names:
+                raise ConfigurationError(f"Two endpoints of {exposed.robot!r} are called {exposed.endpoint.name!r}.")
+            names.add(name)
+        arm = next((e for e in listed if e.robot == config.robot.name and e.profile is not None), None)
+        action = action_endpoint(arm) if arm is not None else None
+        made = (*listed, action) if action is not None else tuple(listed)
+        self._gate.replace(map(self._allowed, made))
+        self._exposed = made
+
+    def _profile(self) -> list[Exposed]:
+        config, registry = self._config(), self._registry()
+        name = config.robot.name
+        if self._instead or name not in registry.specs("robot"):
+            return []
+        return profile_endpoints(name, config.namespace, load_profile(registry, name))
+
+    def _allowed(self, exposed: Exposed) -> AllowedEndpoint:
+        """The entry of the gate; joint motions of an arm with a TCP get the limits that actions have."""
+        entry, profile = exposed.allowed(), exposed.profile
+        if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:
+            return entry
+        rules = self._paths.rules(exposed.robot, profile)
+        return replace(entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile))
+
+    def _tell(self) -> None:
+        for listener in self._listeners:
+            try:
+                listener()
+            except Exception:  # a failing listener must not stop the others, nor what changed the list
+                log.exception("A listener failed.")

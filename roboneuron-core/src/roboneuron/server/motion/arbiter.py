@@ -1,0 +1,133 @@
+"""Motion that lasts: one owner per robot, ended by the emergency stop, a cancelled call, or a policy that starts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from roboneuron.errors import RefusedError, StateError
+from roboneuron.gate import Gate
+from roboneuron.server.motion.exposed import Exposed
+
+POLL_S = 0.01
+"""How often lasting motion looks at the latch; together with one publish it is well within 50 ms."""
+
+
+class Motion:
+    """A motion that is under way; used by the thread that plays it."""
+
+    def __init__(
+        self, gate: Gate, exposed: Exposed, what: str, halt: threading.Event, policy: Callable[[], str]
+    ) -> None:
+        self.exposed = exposed
+        self.what = what
+        self._gate = gate
+        self._halt = halt
+        self._policy = policy
+        self._end_reason = ""
+        self.stop_now: Callable[[], object] = lambda: None
+        """Sends the stop message; set while there is one to send, called by whoever presses the emergency stop."""
+
+    def check(self) -> None:
+        """Raise when it has to end.
+
+        Raises:
+            RefusedError: the emergency stop is latched, or the audit failed.
+            StateError: the call was cancelled, or a policy took over.
+        """
+        self._gate.check_running()
+        if self._halt.is_set():
+            self._gate.check_running()  # the stop was pressed since the look above
+            raise StateError(self._end_reason or "The call was cancelled.")
+        policy = self._policy()
+        if policy:
+            raise StateError(policy)
+
+    def sleep_until(self, end_s: float) -> None:
+        """Wait until this monotonic time [s]; raises as `check`, within `POLL_S` of the cause."""
+        while True:
+            self.check()
+            remaining_s = end_s - time.monotonic()
+            if remaining_s <= 0:
+                return
+            self._halt.wait(min(POLL_S, remaining_s))
+
+    def wake(self) -> None:
+        """Stop now, whether or not the thread that plays this gets to run; it stops again when it does."""
+        self._halt.set()
+        self.stop_now()
+
+    def end(self, reason: str) -> None:
+        """Have it end now; callable from any thread."""
+        self._end_reason = reason
+        self._halt.set()
+
+
+class MotionArbiter:
+    """Knows who moves which robot. Usable from any thread."""
+
+    def __init__(self, gate: Gate, policy: Callable[[Exposed], str]) -> None:
+        """Args:
+        gate: asked whether motion may go on.
+        policy: says, in a sentence, which policy moves the endpoint's robot; empty when none does.
+        """
+        self._gate = gate
+        self._policy = policy
+        self._lock = threading.Lock()
+        self._moving: dict[str, Motion] = {}
+        self._idle = threading.Condition(self._lock)
+        gate.latch.on_press(self._wake)
+
+    def _wake(self) -> None:
+        """The stop was pressed in this process: nobody waits for the next look at the latch."""
+        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+            motion.wake()
+
+    def check_free(self, exposed: Exposed) -> None:
+        """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
+        if not exposed.moves:
+            return
+        policy = self._policy(exposed)
+        if policy:
+            raise RefusedError(policy, hint="Call stop_inference first.")
+        other = self._moving.get(exposed.robot)
+        if other is not None:
+            raise RefusedError(
+                f"{other.what} moves {exposed.robot!r} now.", hint="Wait for its end, or cancel that call."
+            )
+
+    @contextmanager
+    def claim(self, exposed: Exposed, what: str, halt: threading.Event) -> Iterator[Motion]:
+        """Own the robot's motion for a while.
+
+        Args:
+            exposed: through which endpoint.
+            what: the tool, for messages.
+            halt: set when the call is cancelled.
+
+        Raises:
+            RefusedError: somebody else moves it.
+        """
+        motion = Motion(self._gate, exposed, what, halt, lambda: self._policy(exposed) if exposed.moves else "")
+        key = exposed.robot if exposed.moves else f"{exposed.robot}/{exposed.topic}"
+        with self._lock:
+            self.check_free(exposed)
+            if key in self._moving:
+                raise RefusedError(f"{self._moving[key].what} uses {exposed.topic} now.", hint="Wait for its end.")
+            self._moving[key] = motion
+        try:
+            yield motion
+        finally:
+            with self._idle:
+                del self._moving[key]
+                self._idle.notify_all()
+
+    def end_all(self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True) -> bool:
+        """End every motion (through the endpoints that are meant) and wait; False when one did not end in time."""
+        with self._idle:
+            ended = [motion for motion in self._moving.values() if which(motion.exposed)]
+            for motion in ended:
+                motion.end(reason)
+            return self._idle.wait_for(lambda: not any(m in ended for m in self._moving.values()), timeout_s)

@@ -1,0 +1,114 @@
+"""The ROS side of direct motion: writers, goal clients and measured joints, made when they are first needed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from roboneuron.contract import JointSample, Pose
+from roboneuron.errors import InvalidInputError, NotReadyError
+from roboneuron.interfaces import ActionInterface
+from roboneuron.ros.topics import EE_POSE, JOINT_STATES
+from roboneuron.server.motion.exposed import Exposed
+
+if TYPE_CHECKING:
+    from roboneuron.ros.goal import GoalClient
+    from roboneuron.ros.link import RosLink
+    from roboneuron.ros.reader import NewestMessage
+    from roboneuron.ros.writer import TopicWriter
+
+JOINTS_AGE_S = POSE_AGE_S = 0.5
+"""Older measurements are as good as none."""
+
+
+class Traffic:
+    """Keeps what was made; usable from any thread. `link` may block for the second that joining the graph takes."""
+
+    def __init__(self, link: Callable[[], RosLink]) -> None:
+        self._link = link
+        self._lock = threading.Lock()
+        self._writers: dict[tuple[str, str], TopicWriter] = {}
+        self._goals: dict[tuple[str, str], GoalClient] = {}
+        self._joints: dict[str, NewestMessage] = {}
+        self._poses: dict[str, NewestMessage] = {}
+
+    def link(self) -> RosLink:
+        """The open link; raises as `Connection.link`."""
+        return self._link()
+
+    def known_writer(self, exposed: Exposed) -> TopicWriter | None:
+        """The writer if there is one; never blocks."""
+        return self._writers.get((exposed.topic, exposed.endpoint.type))
+
+    def writer(self, exposed: Exposed) -> TopicWriter:
+        """The writer of a topic."""
+        from roboneuron.ros.writer import TopicWriter  # heavy
+
+        link, key = self.link(), (exposed.topic, exposed.endpoint.type)
+        with self._lock:
+            if key not in self._writers:
+                self._writers[key] = TopicWriter(link, exposed.message.ros_type, exposed.endpoint.type, exposed.topic)
+            return self._writers[key]
+
+    def goal_client(self, exposed: Exposed) -> GoalClient:
+        """The client of an action."""
+        from roboneuron.ros.goal import GoalClient  # heavy
+
+        assert isinstance(exposed.interface, ActionInterface)
+        link, key = self.link(), (exposed.topic, exposed.endpoint.type)
+        with self._lock:
+            if key not in self._goals:
+                self._goals[key] = GoalClient(link, exposed.interface.ros_type, exposed.topic)
+            return self._goals[key]
+
+    def newest_joints(self, exposed: Exposed) -> JointSample | None:
+        """The measured joints of the endpoint's robot, None when there are no recent ones; never blocks."""
+        watch = self._joints.get(exposed.namespace)
+        message = watch.newest(JOINTS_AGE_S) if watch is not None else None
+        if message is None:
+            return None
+        from roboneuron.ros.messages import joints_from_message  # heavy
+
+        try:
+            return joints_from_message(message)
+        except InvalidInputError:
+            return None
+
+    def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
+        """Like `newest_joints`, and waits for a first measurement."""
+        from sensor_msgs.msg import JointState  # heavy
+
+        self._watch(self._joints, JointState, exposed.namespace, JOINT_STATES).open(timeout_s)
+        return self.newest_joints(exposed)
+
+    def ee_pose(self, exposed: Exposed, timeout_s: float) -> Pose:
+        """The measured pose of the TCP, no older than `POSE_AGE_S`; waits for one.
+
+        Raises:
+            NotReadyError: control publishes none.
+        """
+        from geometry_msgs.msg import PoseStamped  # heavy
+
+        from roboneuron.ros.messages import pose_from_message  # heavy
+
+        watch = self._watch(self._poses, PoseStamped, exposed.namespace, EE_POSE)
+        watch.open(timeout_s)
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            message = watch.newest(POSE_AGE_S)
+            if message is not None:
+                return pose_from_message(message)
+            if time.monotonic() > deadline_s:
+                raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
+            time.sleep(0.01)
+
+    def _watch(self, kept: dict[str, NewestMessage], message_type: type, namespace: str, topic: str) -> NewestMessage:
+        from roboneuron.ros.reader import NewestMessage  # heavy
+
+        link = self.link()
+        with self._lock:
+            if namespace not in kept:
+                kept[namespace] = NewestMessage(link, message_type, f"/{namespace}/{topic}")
+            return kept[namespace]
