@@ -31,6 +31,7 @@ from roboneuron.server.events import Events
 from roboneuron.server.features import Features
 from roboneuron.server.guard import Guard
 from roboneuron.server.host import Host
+from roboneuron.server.lifecycle_tools import closed_loop_tools
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.lost import watching
 from roboneuron.server.notices import ToolNotices
@@ -38,13 +39,12 @@ from roboneuron.server.observing import observing_tools
 from roboneuron.server.operating import Operating
 from roboneuron.server.own_log import OwnLog
 from roboneuron.server.pauses import shorten_pauses
-from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
 from roboneuron.server.safety_reports import SafetyReports
-from roboneuron.server.selection import check_configuration
+from roboneuron.server.sections import check_configuration
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage

@@ -26,7 +26,7 @@ from roboneuron.server.http_border import Border, session_name
 from roboneuron.server.http_connections import BoundedProtocol, ConnectionTable
 from roboneuron.server.http_origin import HostRules
 from roboneuron.server.http_sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
-from roboneuron.server.selection import check_configuration
+from roboneuron.server.sections import check_configuration
 from roboneuron.server.tokens import TokenFiles, TokenTable
 
 log = logging.getLogger(__name__)
