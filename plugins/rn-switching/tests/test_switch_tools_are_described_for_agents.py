@@ -46,7 +46,10 @@ def test_a_switch_takes_what_a_start_takes(application: Application, kind: str, 
     listed = tools(application)
     switch = listed[f"switch_{kind}"].input_schema["properties"]
     start = listed[f"start_{kind}"].input_schema["properties"]
-    assert switch == start | {key: switch[key] for key in {"mode", "rollback", *also}}
+    assert set(switch) == {*start, "mode", "rollback"}
+    for name in start:
+        assert switch[name].get("type") == start[name].get("type")
+        assert (switch[name]["description"] == f"As in start_{kind}.") == (name not in also), name
     hints = listed[f"switch_{kind}"].annotations
     assert hints is not None
     assert hints.destructive_hint

@@ -88,8 +88,8 @@ def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_e
     async def scenario(agent: Agent) -> None:
         robot = await agent.do("start_robot")
         assert robot["health"] == "ok"
-        assert (await agent.module("robot"))["state"] == "active"
         assert agent.progress[0] == "robot: starting"
+        assert (await agent.module("robot"))["state"] == "active"
         await agent.do("start_perception")
         await agent.do("start_control")
         inference = await agent.do("start_inference")

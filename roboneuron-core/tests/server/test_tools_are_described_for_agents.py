@@ -57,7 +57,7 @@ def test_every_tool_has_strict_schemas_and_descriptions(application: Application
             assert schema is not None
             jsonschema.Draft202012Validator.check_schema(schema)
             assert schema["type"] == "object"
-            assert schema["additionalProperties"] is False
+        assert tool.input_schema["additionalProperties"] is False
         for name, entry in tool.input_schema["properties"].items():
             assert entry.get("description"), f"{tool.name}.{name}"
             assert "anyOf" not in entry, f"{tool.name}.{name}"
@@ -69,7 +69,7 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
         assert hints is not None
         reads = tool.name.startswith(("list_", "get_", "read_", "describe_"))
         assert hints.read_only_hint == reads
-        assert hints.destructive_hint == (tool.name.startswith(("stop_", "emergency", "reset")))
+        assert bool(hints.destructive_hint) == (tool.name.startswith(("stop_", "emergency", "reset")))
         assert not (hints.read_only_hint and hints.destructive_hint)
 
 

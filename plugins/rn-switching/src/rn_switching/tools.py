@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from rn_switching.replacing import Switched, Switching
 from roboneuron.modules.settings import ModuleKind
@@ -14,14 +14,25 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.module_kinds import KINDS, KindEntry
 from roboneuron.server.requests import StartControl, StartInference, StartPerception
 from roboneuron.server.results import ModuleSummary, module_summary
-from roboneuron.server.start_tools import plugin_choices
 from roboneuron.server.tool import Arguments, CallContext, Stage, Tool
 
 S = TypeVar("S", bound="Switch")
 
 
+def _refer_to_start(schema: dict[str, Any], model: type[Switch]) -> None:
+    """Describe what is as in the start tool by its name: every agent reads the list of tools in full."""
+    start = next(base for base in model.__bases__ if not issubclass(base, Switch))
+    tool = start.__name__.replace("Start", "start_").lower()
+    for name, entry in schema["properties"].items():
+        field = start.model_fields.get(name)
+        if field is not None and field.description == entry.get("description"):
+            entry["description"] = f"As in {tool}."
+
+
 class Switch(Arguments):
     """What every switch can be told."""
+
+    model_config = ConfigDict(json_schema_extra=_refer_to_start)
 
     mode: Literal["warm", "cold"] = Field(
         default="warm",
@@ -140,7 +151,6 @@ def _switch_tool(loop: ClosedLoop, switching: Switching, entry: KindEntry, text:
         handler=handler,
         destructive=True,
         open_world=True,
-        choices=plugin_choices(loop, entry),
     )
 
 

@@ -15,8 +15,8 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the chosen plugin, laid over [plugins.<name>] of the configuration. Those that name "
-        "hosts, files, devices, commands or environment variables are for the configuration only.",
+        description="Options of the plugin, laid over [plugins.<name>] of the configuration; what names hosts, files, "
+        "devices or commands is for the configuration only.",
     ),
 ]
 

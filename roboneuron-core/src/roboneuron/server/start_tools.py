@@ -12,8 +12,6 @@ from roboneuron.server.module_kinds import KINDS, KindEntry
 from roboneuron.server.results import StartResult, module_summary
 from roboneuron.server.tool import Arguments, CallContext, Tool
 
-_ORDER = f"Usual order: {', '.join(f'start_{kind}' for kind in KINDS)}."
-
 
 def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """One for each kind of module, in their usual order."""
@@ -38,7 +36,7 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
         name=f"start_{entry.kind}",
         title=entry.title,
         description=f"{entry.start_text} Returns when it works ({entry.proof}); on any failure nothing is left "
-        f"running. An error if it already runs. {_ORDER}",
+        "running. An error if it already runs.",
         arguments=entry.request,
         result=StartResult,
         handler=handler,
