@@ -57,6 +57,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_ik.py
 	$(BIN)/python benchmarks/bench_loop.py
 	$(BIN)/python benchmarks/bench_start_stop.py
+	$(BIN)/python benchmarks/bench_round_trip.py
 	$(BIN)/python benchmarks/bench_switch.py
 	$(BIN)/python benchmarks/bench_faults.py
 	$(BIN)/python benchmarks/bench_direct.py

@@ -21,7 +21,7 @@ S = TypeVar("S", bound="Switch")
 
 def _refer_to_start(schema: dict[str, Any], model: type[Switch]) -> None:
     """Describe what is as in the start tool by its name: every agent reads the list of tools in full."""
-    start = next(base for base in model.__bases__ if not issubclass(base, Switch))
+    start = next(base for base in model.__bases__ if issubclass(base, Arguments) and not issubclass(base, Switch))
     tool = start.__name__.replace("Start", "start_").lower()
     for name, entry in schema["properties"].items():
         field = start.model_fields.get(name)
