@@ -14,7 +14,7 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
-  plugins/rn-demo plugins/rn-fastdds plugins/rn-ops plugins/rn-tools-ros \
+  plugins/rn-demo plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
@@ -62,6 +62,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_ik.py
 	$(BIN)/python benchmarks/bench_loop.py
 	$(BIN)/python benchmarks/bench_start_stop.py
+	$(BIN)/python benchmarks/bench_round_trip.py
 	$(BIN)/python benchmarks/bench_switch.py
 	$(BIN)/python benchmarks/bench_faults.py
 	$(BIN)/python benchmarks/bench_direct.py

@@ -30,11 +30,11 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
-from fault_loop import JointWitness, moving_cell, quiet
+from fault_loop import JointWitness, moving_cell
 
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 from roboneuron.supervisor.view import ModuleView
 from roboneuron.supervisor.watch import Health, Watch
 
@@ -161,11 +161,11 @@ class Bench:
         self.note(fault, HOLD, (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s)
         self.note(fault, MOTION, self.stood_s(at_s))
         if kind == "inference":
-            self.loop.start_inference(InferenceRequest(instruction="swing"), quiet)
+            self.loop.start("inference", StartInference(instruction="swing"))
         elif kind == "perception":
-            self.loop.start_perception(None, (), {}, quiet)
+            self.loop.start("perception")
         else:
-            self.loop.start_control(None, {}, quiet)
+            self.loop.start("control")
 
     def freeze(self) -> None:
         """Inference is stopped, and goes on."""

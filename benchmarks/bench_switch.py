@@ -24,12 +24,11 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
-from switch_loop import Sent, moving_loop, quiet
+from switch_loop import Sent, moving_loop
 
+from rn_switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
-from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.replacing import SwitchMode
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,9 +79,9 @@ def judge(actions: list[Sent], commands: list[tuple[int, float, float]], took_s:
     )
 
 
-def _await_stream(loop: ClosedLoop, witness: object) -> None:
+def _await_stream(switching: Switching, witness: object) -> None:
     """Some actions of the backend that works now: its own stream, and the end of the last gap."""
-    choice = loop.supervisor.view("inference").choice
+    choice = switching.loop.supervisor.view("inference").choice
     tag = 2 if choice is not None and choice.names["backend"] == "second" else 1
     deadline_s = time.monotonic() + 5.0
     while time.monotonic() < deadline_s:
@@ -91,22 +90,22 @@ def _await_stream(loop: ClosedLoop, witness: object) -> None:
         threading.Event().wait(0.05)
 
 
-def series(loop: ClosedLoop, witness: object, mode: SwitchMode, count: int, console: Console) -> Outcome:
+def series(switching: Switching, witness: object, mode: SwitchMode, count: int, console: Console) -> Outcome:
     """Switch `count` times and judge the stream meanwhile."""
     first_action = max(0, len(witness.actions()) - 1)  # type: ignore[attr-defined]
     first_command = len(witness.commands())  # type: ignore[attr-defined]
     took_s = []
     for number in range(count):
-        view = loop.supervisor.view("inference")
+        view = switching.loop.supervisor.view("inference")
         assert view.choice is not None
         other = "second" if view.choice.names["backend"] == "first" else "first"
         try:
-            took_s.append(loop.switch_inference(InferenceRequest(backend=other), mode, quiet).took_s)
+            took_s.append(switching.switch("inference", StartInference(backend=other), mode).took_s)
         except RoboNeuronError as error:  # nothing changed, and that is what is counted
             console.log(f"{mode} {number + 1}/{count} refused: {error.message}")
             continue
         console.log(f"{mode} {number + 1}/{count}: {took_s[-1]:.1f} s")
-    _await_stream(loop, witness)
+    _await_stream(switching, witness)
     actions = witness.actions()[first_action:]  # type: ignore[attr-defined]
     return judge(actions, witness.commands()[first_command:], took_s)  # type: ignore[attr-defined]
 
@@ -125,11 +124,11 @@ def main() -> None:
     for head in (*heads.split("|"), "skipped elsewhere", "velocity step / elsewhere [m/s]", "call [s]"):
         table.add_column(head)
     for rate_hz in arguments.rates:
-        with tempfile.TemporaryDirectory() as scratch, moving_loop(Path(scratch), rate_hz) as (loop, witness):
+        with tempfile.TemporaryDirectory() as scratch, moving_loop(Path(scratch), rate_hz) as (switching, witness):
             for mode, count in (("warm", arguments.switches), ("cold", arguments.cold)):
                 if not count:
                     continue
-                outcome = series(loop, witness, mode, count, progress)  # type: ignore[arg-type]
+                outcome = series(switching, witness, mode, count, progress)  # type: ignore[arg-type]
 
                 def spread(values_s: np.ndarray) -> str:
                     if not len(values_s):

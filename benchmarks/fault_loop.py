@@ -17,7 +17,7 @@ from shared_memory import repaired
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -192,8 +192,8 @@ def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[C
 def moving_cell(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[ClosedLoop, JointWitness]]:
     """A gantry that follows backend "first" at `rate_hz`."""
     with standing_loop(folder, rate_hz, **more) as (loop, witness):
-        loop.start_robot(None, None, {}, quiet)
-        loop.start_perception(None, (), {}, quiet)
-        loop.start_control(None, {}, quiet)
-        loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+        loop.start("robot")
+        loop.start("perception")
+        loop.start("control")
+        loop.start("inference", StartInference(instruction="move on"))
         yield loop, witness

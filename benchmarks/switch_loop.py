@@ -14,10 +14,11 @@ from typing import Any
 from plugin_site import installed
 from shared_memory import repaired
 
+from rn_switching.replacing import Switching
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -143,7 +144,7 @@ class Witness:
 
 
 @contextmanager
-def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iterator[tuple[ClosedLoop, Witness]]:
+def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iterator[tuple[Switching, Witness]]:
     """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
 
     `camera_options` is TOML: more keys of the camera, and sections after it.
@@ -154,11 +155,11 @@ def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iter
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
             witness = Witness(supervisor, config.namespace)
-            loop.start_robot(None, None, {}, quiet)
-            loop.start_perception(None, (), {}, quiet)
-            loop.start_control(None, {}, quiet)
-            loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+            loop.start("robot")
+            loop.start("perception")
+            loop.start("control")
+            loop.start("inference", StartInference(instruction="move on"))
             with repaired(supervisor):
-                yield loop, witness
+                yield Switching(loop), witness
         finally:
             supervisor.close()

@@ -15,11 +15,11 @@ from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from rn_ops.memory import MemoryWatch
 from rn_ops.options import MemoryOptions
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.requests import StartInference
 from roboneuron.server.results import ModuleStatus, module_status
-from roboneuron.server.selection import InferenceRequest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from fault_loop import PARTS, JointWitness, fail, moving_cell, quiet
+from fault_loop import PARTS, JointWitness, fail, moving_cell
 
 sys.path.pop(0)
 
@@ -236,7 +236,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
     assert any("memory_limit_mb" in line for line in exited.last_lines)
     assert {cell.health(kind) for kind in ("robot", "perception", "control")} == {"ok"}
     cell.fail("memory", "")
-    cell.loop.start_inference(InferenceRequest(instruction="move on"), quiet)
+    cell.loop.start("inference", StartInference(instruction="move on"))
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
@@ -247,7 +247,7 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
     ports = [name for name in owned_segments(process.pid) if name.startswith(PORT_PREFIX)]
     for name in ports:
         (SHARED_MEMORY / name).unlink()
-    cell.loop.start_perception(None, (), {}, quiet)
+    cell.loop.start("perception")
     wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
     wait_until(lambda: all((SHARED_MEMORY / name).exists() for name in ports), 3.0, "its other port is found as well")
 

@@ -13,10 +13,10 @@ import psutil
 import pytest
 
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from fault_loop import JointWitness, quiet, standing_loop
+from fault_loop import JointWitness, standing_loop
 
 sys.path.pop(0)
 
@@ -57,10 +57,10 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop,
 def check(loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops: Sequence[str]) -> None:
     """Start in one order, none waiting for another; stop in another one."""
     work: dict[str, Callable[[], object]] = {
-        "robot": lambda: loop.start_robot(None, None, {}, quiet),
-        "perception": lambda: loop.start_perception(None, (), {}, quiet),
-        "control": lambda: loop.start_control(None, {}, quiet),
-        "inference": lambda: loop.start_inference(InferenceRequest(instruction="move on"), quiet),
+        "robot": lambda: loop.start("robot"),
+        "perception": lambda: loop.start("perception"),
+        "control": lambda: loop.start("control"),
+        "inference": lambda: loop.start("inference", StartInference(instruction="move on")),
     }
     with ThreadPoolExecutor(4) as pool:
         begun = []

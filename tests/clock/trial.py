@@ -13,9 +13,10 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from fault_loop import moving_cell, quiet
+from fault_loop import moving_cell
 
-from roboneuron.server.selection import InferenceRequest
+from rn_switching.replacing import Switching
+from roboneuron.server.requests import StartInference
 from roboneuron.supervisor.watch import assess
 
 sys.path.pop(0)
@@ -25,6 +26,7 @@ _RECOVER_S = 20.0
 def main(folder: Path, jumps_s: list[float]) -> None:
     offset = Path(os.environ["CLOCK_OFFSET_FILE"])
     with moving_cell(folder, 10.0) as (loop, witness):
+        switching = Switching(loop)
 
         def health() -> dict[str, str]:
             return {view.kind: assess(view, time.monotonic()) for view in loop.supervisor.views()}
@@ -41,7 +43,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
             return time.monotonic() - started_s
 
         wait(settled, 20.0)
-        loop.switch_inference(InferenceRequest(backend="first"), "warm", quiet)  # leaves moments behind
+        switching.switch("inference", StartInference(backend="first"))  # leaves moments behind
         wait(settled, 20.0)
         now_s = 0.0
         for jump_s in jumps_s:
@@ -67,7 +69,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
                 ),
                 flush=True,
             )
-        loop.switch_inference(InferenceRequest(backend="first"), "warm", quiet)
+        switching.switch("inference", StartInference(backend="first"))
         print(json.dumps({"switched": wait(settled, 20.0) is not None}), flush=True)
         print(json.dumps({"stopped": [s.exit_code for s in loop.stop_all()]}), flush=True)
 

@@ -10,31 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.requests import StartControl
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
-
-
-def quiet(_: str) -> None:
-    """Nobody wants to know how far a call has come."""
 
 
 def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
-    loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
+    switching = Switching(ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor))
     arm.start("robot", "control")
     with arm.waving():
         wait(arm.is_moving, 10.0, "the arm moves")
         before_s = time.monotonic()
         wait(lambda: time.monotonic() - before_s > 3.0, 5.0, "something to compare with")
         switched_s = time.monotonic()
-        switched = loop.switch_control(None, {"max_iterations": 60}, "warm", quiet)
-        back = loop.roll_back_control("warm", quiet)
+        switched = switching.switch("control", StartControl(options={"max_iterations": 60}))
+        back = switching.roll_back("control")
         after_s = time.monotonic()
     for change in (switched, back):
         gap = change.change.gap

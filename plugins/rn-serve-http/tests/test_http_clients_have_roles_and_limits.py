@@ -200,7 +200,7 @@ def test_a_session_is_of_one_token(server: HttpServer) -> None:
 
 
 def test_clients_share_one_robot_that_ends_with_the_server(server: HttpServer) -> None:
-    pid = ask(server, "operator", "start_robot").structured_content["module"]["pid"]
+    pid = ask(server, "operator", "start_robot").structured_content["pid"]
     assert code_of(ask(server, "admin", "start_robot", "legacy")) == "refused"
     modules = ask(server, "viewer", "get_status", "legacy").structured_content["modules"]
     assert [module["pid"] for module in modules if module["module"] == "robot"] == [pid]

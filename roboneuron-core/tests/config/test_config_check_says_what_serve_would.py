@@ -12,8 +12,7 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.record import PluginRecord, Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.server.sections import check_sections
-from roboneuron.server.selection import check_configuration
+from roboneuron.server.sections import check_configuration, check_sections
 from roboneuron.testing.fakes import fake_registry
 
 REGISTRY = fake_registry(BackendSpec(name="plain", summary="Takes no options.", target="nowhere:X"))

@@ -86,15 +86,15 @@ def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_e
     pids: list[int] = []
 
     async def scenario(agent: Agent) -> None:
-        robot = (await agent.do("start_robot"))["module"]
-        assert robot["ready"]
-        assert robot["state"] == "active"
+        robot = await agent.do("start_robot")
+        assert robot["health"] == "ok"
         assert agent.progress[0] == "robot: starting"
+        assert (await agent.module("robot"))["state"] == "active"
         await agent.do("start_perception")
         await agent.do("start_control")
-        inference = (await agent.do("start_inference"))["module"]
+        inference = await agent.do("start_inference")
         assert inference["started_with"]["backend"] == "picky"
-        assert inference["note"] == "waiting for an instruction"
+        assert (await agent.module("inference"))["note"] == "waiting for an instruction"
 
         facts, pixels = await agent.look("front")
         assert (facts["width_px"], facts["height_px"]) == (64, 48)
@@ -120,16 +120,6 @@ def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_e
         assert status["emergency_stop_cause"] == "agent on stdio: a hand in the workspace"
         assert (await agent.fail("set_instruction", instruction="move on"))[0] == "refused"
         assert (await agent.do("reset_emergency_stop"))["latched"] is False
-
-        old = await agent.module("inference")
-        code, text = await agent.fail("switch_inference", backend="blind")
-        assert code == "unfit_combination"
-        assert "thermal" in text
-        assert (await agent.module("inference"))["pid"] == old["pid"]
-        switched = await agent.do("switch_inference", backend="instant", options={"horizon": 2})
-        assert switched["replaced"]["backend"] == "picky"
-        assert switched["module"]["instruction"] == "move on"
-        assert switched["module"]["pid"] != old["pid"]
 
         status = await agent.do("get_status")
         assert all(m["ready"] for m in status["modules"])
@@ -171,7 +161,7 @@ def test_a_killed_module_shows_with_its_exit_and_can_be_started_again(
     serve_command: ServeCommand, server_environment: dict[str, str]
 ) -> None:
     async def scenario(agent: Agent) -> None:
-        robot = (await agent.do("start_robot"))["module"]
+        robot = await agent.do("start_robot")
         os.kill(robot["pid"], 9)
         with anyio.fail_after(2):
             while (await agent.module("robot"))["phase"] != "exited":
@@ -183,7 +173,7 @@ def test_a_killed_module_shows_with_its_exit_and_can_be_started_again(
         code, text = await agent.fail("stop_robot")
         assert code == "wrong_state"
         assert "signal 9" in text
-        assert (await agent.do("start_robot"))["module"]["ready"]
+        assert (await agent.do("start_robot"))["health"] == "ok"
 
     run_agent(serve_command(), server_environment, scenario)
 
@@ -195,7 +185,7 @@ def test_the_emergency_stop_outlives_the_server_and_stops_what_is_started_later(
         assert (await agent.do("emergency_stop", reason="smoke"))["confirmed_by"] == []
 
     async def find_it_latched(agent: Agent) -> None:
-        robot = (await agent.do("start_robot"))["module"]
+        robot = await agent.do("start_robot") | {"emergency_stop": False}
         with anyio.fail_after(2):
             while not robot["emergency_stop"]:
                 robot = await agent.module("robot")

@@ -48,7 +48,6 @@ CASES: list[tuple[str, dict[str, Any], str, str]] = [
     ("start_inference", {"runtime": "counting"}, "unfit_combination", "takes no runtime"),
     ("start_inference", {"cameras": {"primary": "back"}}, "unfit_combination", "Camera 'back' for role 'primary'"),
     ("start_inference", {"options": {"horizon": 99}}, "configuration", "plugins.instant.horizon is 99"),
-    ("switch_inference", {}, "wrong_state", "inference is not running"),
     ("set_instruction", {"instruction": ""}, "invalid_input", "The instruction is empty."),
     ("set_instruction", {}, "invalid_input", "Argument 'instruction' is missing."),
     ("set_instruction", {"instruction": "go"}, "wrong_state", "inference is not running"),

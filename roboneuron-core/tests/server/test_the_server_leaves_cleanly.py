@@ -108,7 +108,7 @@ def test_modules_end_with_the_server(
     """Also one that is frozen: a stopped process does not hear its death signal by itself."""
     with serving(serve_command(), server_environment) as wire:
         wire.shake_hands()
-        pids = [wire.call("start_robot")["module"]["pid"], wire.call("start_perception")["module"]["pid"]]
+        pids = [wire.call("start_robot")["pid"], wire.call("start_perception")["pid"]]
         if is_frozen:
             os.kill(pids[1], signal.SIGSTOP)
         ended_s = time.monotonic()

@@ -19,7 +19,6 @@ from roboneuron.testing.fakes import fake_registry
 
 TOOLS = {
     *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction"),
-    *("switch_inference", "switch_perception", "switch_control"),
     *("stop_robot", "stop_perception", "stop_control", "stop_inference", "stop_all"),
     *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
     *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
@@ -56,7 +55,7 @@ def test_every_tool_has_strict_schemas_and_descriptions(application: Application
             assert schema is not None
             jsonschema.Draft202012Validator.check_schema(schema)
             assert schema["type"] == "object"
-            assert schema["additionalProperties"] is False
+        assert tool.input_schema["additionalProperties"] is False
         for name, entry in tool.input_schema["properties"].items():
             assert entry.get("description"), f"{tool.name}.{name}"
             assert "anyOf" not in entry, f"{tool.name}.{name}"
@@ -68,7 +67,7 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
         assert hints is not None
         reads = tool.name.startswith(("list_", "get_", "read_", "describe_"))
         assert hints.read_only_hint == reads
-        assert hints.destructive_hint == (tool.name.startswith(("stop_", "switch_", "emergency", "reset")))
+        assert bool(hints.destructive_hint) == (tool.name.startswith(("stop_", "emergency", "reset")))
         assert not (hints.read_only_hint and hints.destructive_hint)
 
 
@@ -77,10 +76,6 @@ def test_choices_are_the_installed_plugins_with_their_summaries(application: App
     backend = tools["start_inference"].input_schema["properties"]["backend"]
     assert sorted(backend["enum"]) == ["heavy", "instant"]
     assert "instant: Answers at once with a small move along x" in backend["description"]
-    for kind, also in (("inference", set()), ("perception", {"cameras"}), ("control", set())):
-        switch = tools[f"switch_{kind}"].input_schema["properties"]
-        start = tools[f"start_{kind}"].input_schema["properties"]
-        assert switch == start | {key: switch[key] for key in {"mode", "rollback", *also}}
     assert tools["start_inference"].input_schema["properties"]["runtime"]["enum"] == ["counting"]
     assert tools["get_camera_image"].input_schema["properties"]["camera"]["enum"] == ["front", "hand"]
 

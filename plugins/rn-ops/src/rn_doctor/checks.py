@@ -175,7 +175,7 @@ def _plugins(config: Config) -> Finding:
 
 
 def _configuration(config: Config) -> Finding:
-    from roboneuron.server.selection import check_configuration  # pydantic and plugins' options, not mcp
+    from roboneuron.server.sections import check_configuration  # pydantic and plugins' options, not mcp
 
     registry = discover(config.disabled_plugins)
     check_configuration(config, registry)

@@ -100,7 +100,11 @@ class Restarts:
             try:
                 section = getattr(config, kind)
                 self._supervisor.start(
-                    kind, config, python=section.python if section else None, names=view.choice.names
+                    kind,
+                    config,
+                    python=section.python if section else None,
+                    names=view.choice.names,
+                    plan=view.choice.plan,
                 )
             except RoboNeuronError as error:
                 self._record(kind, f"restart failed: {error.message}")

@@ -81,8 +81,7 @@ def _publish(name: str, noun: str, targets: Targets, gate: MotionGate, delivery:
 
 
 def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate, delivery: Schema) -> DerivedTool:
-    message = message_schema(targets.first.message, hull([e.endpoint for e in targets.endpoints]))
-    definitions = message.pop("$defs", None)
+    message: Schema = {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."}
     sequencing = Sequencing(gate, targets, name)
     step = object_schema(
         {"message": message, "duration_s": sequencing.duration.schema()},
@@ -91,7 +90,6 @@ def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate, delivery
     steps: Schema = {
         "type": "array", "items": step, "minItems": 1, "maxItems": MAX_STEPS,
         "description": "Messages in order, each with the time it lasts.",
-        **({"$defs": definitions} if definitions else {}),
     }  # fmt: skip
     properties = {
         **targets.schema(),

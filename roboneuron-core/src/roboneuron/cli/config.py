@@ -37,7 +37,7 @@ def _check(path: Path) -> None:
     from roboneuron.config import load_config
     from roboneuron.plugins.discovery import discover
     from roboneuron.server.app import Application  # heavy
-    from roboneuron.server.selection import check_configuration
+    from roboneuron.server.sections import check_configuration
 
     config = load_config(path)
     check_configuration(config, discover(config.disabled_plugins))

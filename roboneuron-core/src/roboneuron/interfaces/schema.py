@@ -16,7 +16,7 @@ from roboneuron.interfaces.scalars import NONFINITE_NAMES
 INLINE_BYTES = 8192
 """A schema over this size keeps repeated messages in `$defs`. Most clients read references, a few do not."""
 
-_SHORT, _LONG = 160, 400
+_SHORT, _LONG = 110, 400
 Schema = dict[str, Any]
 
 

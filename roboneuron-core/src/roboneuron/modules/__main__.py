@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from collections.abc import Callable
+from typing import cast
 
 from pydantic import ValidationError
 
 from roboneuron.errors import StateError
 from roboneuron.log_files import begin_logging
 from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.settings import MODULE_CLASSES, ModuleSettings
 from roboneuron.modules.signals import Signals
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.claim import LEAVE_S, claim
@@ -37,21 +39,10 @@ def _run(settings: ModuleSettings) -> None:
     from roboneuron.modules.module import Module, ModuleNode
 
     def build(node: ModuleNode) -> Module:
-        if settings.kind == "perception":
-            from roboneuron.modules.perception import PerceptionModule
-
-            return PerceptionModule(node)
-        if settings.kind == "inference":
-            from roboneuron.modules.inference import InferenceModule
-
-            return InferenceModule(node)
-        if settings.kind == "control":
-            from roboneuron.modules.control import ControlModule
-
-            return ControlModule(node)
-        from roboneuron.modules.robot import RobotModule
-
-        return RobotModule(node)
+        made = cast(
+            Callable[[ModuleNode], Module], load_attribute(MODULE_CLASSES[settings.kind], "class of the module")
+        )
+        return made(node)
 
     # rclpy's own handlers end the context first: then nobody could publish a last hold.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -16,12 +16,12 @@ from trajectory_msgs.msg import JointTrajectory
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, RobotProfile
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import collision_of
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.rehearsal import Rehearsal
-from roboneuron.modules.turn import Turn
+from roboneuron.modules.shadow_controller import ShadowController
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import (
@@ -54,8 +54,8 @@ class ControlModule(Module):
         self._subscriptions: list[object] = []
         self._watched: JointWatch | None = None
         self._guard: MotionGuard | None = None
-        self._turn = Turn()
-        self._rehearsal: Rehearsal | None = None
+        self._handover = Handover()
+        self._shadow: ShadowController | None = None
         self._told: set[str] = set()
         self._pose_s = 0.0
         self._action_s = 0.0
@@ -102,9 +102,9 @@ class ControlModule(Module):
             self.node.create_subscription(JointState, JOINT_STATES, self._on_joint_state, NEWEST),
             self.node.create_subscription(Float64MultiArray, ACTION, self._on_action, NEWEST),
         ]
-        self._turn.serve(self.node, shadow=self.settings.shadow)
+        self._handover.serve(self.node, shadow=self.settings.shadow)
         if self.settings.shadow:
-            self._rehearsal = Rehearsal(
+            self._shadow = ShadowController(
                 self.node, self.status, config.command, self._controller.forward, self._on_predecessor
             )
         self._timer = self.node.create_timer(config.action_timeout_s / 5, self._watch)
@@ -131,9 +131,9 @@ class ControlModule(Module):
         for subscription in self._subscriptions:
             self.node.destroy_subscription(subscription)
         self._subscriptions.clear()
-        if self._rehearsal is not None:
-            self._rehearsal.close()
-            self._rehearsal = None
+        if self._shadow is not None:
+            self._shadow.close()
+            self._shadow = None
         for publisher in (self._command, self._ee_pose):
             if publisher is not None:
                 self.node.destroy_lifecycle_publisher(publisher)
@@ -161,8 +161,8 @@ class ControlModule(Module):
         try:
             joints = joints_from_message(message)
             is_new = self._watched.accept(joints, now_s, int(self.node.get_clock().now().nanoseconds))
-            if is_new and self._rehearsal is not None:
-                self._rehearsal.see(joints)
+            if is_new and self._shadow is not None:
+                self._shadow.see(joints)
             if is_new and self._active and self._hold_is_due:
                 self._command_hold(joints)
             if is_new and self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
@@ -177,14 +177,14 @@ class ControlModule(Module):
         assert self._ee_pose is not None
         assert self._profile is not None
         pose = self._controller.forward(joints)
-        if self._turn.is_ours(joints.stamp_ns):
+        if self._handover.is_ours(joints.stamp_ns):
             self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
             self._tell("pose")
         self.status.clear_error()
         self.status.set_ready()
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        if not self._active or self._turn.is_over(int(info["source_timestamp"])):
+        if not self._active or self._handover.is_over(int(info["source_timestamp"])):
             return
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
         reason = self._why_not(age_s, int(info["source_timestamp"]))
@@ -232,9 +232,9 @@ class ControlModule(Module):
         step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else _FIRST_STEP_S
         self._action_ns = source_ns
         answer = self._controller.compute(action, joints, step_s)
-        if self._turn.is_shadow(source_ns):
-            if self._rehearsal is not None:
-                self._rehearsal.answer(answer)
+        if self._handover.is_shadow(source_ns):
+            if self._shadow is not None:
+                self._shadow.answer(answer)
             return
         outcome: JointCommand | Hold | None = answer
         longest_s = self.config.robot.server_timeout_s
@@ -262,7 +262,7 @@ class ControlModule(Module):
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action."""
-        if not self._active or self._holding or not self._is_our_turn():
+        if not self._active or self._holding or not self._is_ours_now():
             return
         if self._is_server_silent():
             self._hold("server_silent", f"No sign of life of the server for {self._limits.server_timeout_s:g} s.")
@@ -275,9 +275,9 @@ class ControlModule(Module):
         """Command the measured posture, once per reason to hold.
 
         Without a fresh one nothing is sent: the arm would go back to where it was. Its last command comes to an end,
-        and the next joint state is held at once. Whose turn it is not leaves the arm to the other control.
+        and the next joint state is held at once. In shadow the arm is left to the other control.
         """
-        if not self._is_our_turn():
+        if not self._is_ours_now():
             return
         self.status.set(note=f"holding: {reason}")
         self.status.set_value("hold_code", code)
@@ -291,8 +291,8 @@ class ControlModule(Module):
             return
         self._command_hold(joints)
 
-    def _is_our_turn(self) -> bool:
-        return self._turn.is_ours(time.time_ns())
+    def _is_ours_now(self) -> bool:
+        return self._handover.is_ours(time.time_ns())
 
     def _on_predecessor(self, command: JointCommand, sent_s: float) -> None:
         """Go on from where the arm was sent by the control before this one."""

@@ -19,12 +19,12 @@ from std_msgs.msg import Float64MultiArray
 
 from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation, Runtime
 from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import ACT_FROM, INSTRUCTION_PARAMETER, NEVER_NS, TURN_PARAMETERS
-from roboneuron.modules.turn import Turn
+from roboneuron.modules.settings import ACT_FROM, HANDOVER_PARAMETERS, INSTRUCTION_PARAMETER, NEVER_NS
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
@@ -60,7 +60,7 @@ class InferenceModule(Module):
         self._inputs: NewestInputs | None = None
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         self._instruction = Instruction(self.status)
-        self._turn = Turn()
+        self._handover = Handover()
         self._next_s = 0.0
         self._shadow_count = 0
         self._took_s: deque[float] = deque(maxlen=_RECENT)
@@ -173,7 +173,7 @@ class InferenceModule(Module):
     def _declare_parameters(self, instruction: str) -> None:
         if not self.node.has_parameter(INSTRUCTION_PARAMETER):
             self.node.add_on_set_parameters_callback(self._on_parameters)
-            for name in TURN_PARAMETERS:
+            for name in HANDOVER_PARAMETERS:
                 self.node.declare_parameter(name, NEVER_NS if self.settings.shadow and name == ACT_FROM else 0)
             self.node.declare_parameter(INSTRUCTION_PARAMETER, instruction)
         else:
@@ -181,13 +181,13 @@ class InferenceModule(Module):
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take all of them or none."""
-        turns = [p for p in parameters if p.name in TURN_PARAMETERS]
+        moments = [p for p in parameters if p.name in HANDOVER_PARAMETERS]
         instructions = [p for p in parameters if p.name == INSTRUCTION_PARAMETER]
-        reasons = [self._turn.check(p) for p in turns] + [self._instruction.check(p) for p in instructions]
+        reasons = [self._handover.check(p) for p in moments] + [self._instruction.check(p) for p in instructions]
         refused = next((reason for reason in reasons if reason), "")
         if refused:
             return SetParametersResult(successful=False, reason=refused)
-        self._turn.set(turns)
+        self._handover.set(moments)
         for parameter in instructions:
             self._instruction.set(str(parameter.value))
         return SetParametersResult(successful=True)
@@ -209,7 +209,7 @@ class InferenceModule(Module):
                     hint=f"Is {source} running, and is its clock right?",
                 )
             return
-        if self._turn.is_over(self._inputs.captured_ns(observation)):
+        if self._handover.is_over(self._inputs.captured_ns(observation)):
             self.status.set(note="handed over to the successor")
             return
         self._act(observation, stop)
@@ -236,7 +236,7 @@ class InferenceModule(Module):
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
         self._check_age(observation, took_s)
-        if not self._turn.is_shadow(self._inputs.captured_ns(observation)):
+        if not self._handover.is_shadow(self._inputs.captured_ns(observation)):
             self.status.set(note=chunk.note)
             self._play(chunk, observation, count, stop)
             return
@@ -268,7 +268,7 @@ class InferenceModule(Module):
         self.status.clear_error()
         self.status.set_ready()
 
-    def _note_turn(self) -> None:
+    def _note_handover(self) -> None:
         """Tell when the first action of all goes out: by that a change-over is confirmed and measured."""
         if not self._has_acted:
             self._has_acted = True
@@ -286,9 +286,9 @@ class InferenceModule(Module):
                 stop.wait(delay_s)
             if stop.is_set() or self._instruction.count != count or self.node.stopped:
                 return
-            if self._turn.must_fall_silent(int(self.node.get_clock().now().nanoseconds)):
+            if self._handover.must_fall_silent(int(self.node.get_clock().now().nanoseconds)):
                 return
-            self._note_turn()
+            self._note_handover()
             self._publisher.publish(to_action_message(vector))
             self._worker.progress()
             self.status.output.tick()

@@ -11,9 +11,9 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron.contract import CameraProfile, PerceptionSource
 from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.turn import Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
@@ -36,7 +36,7 @@ class PerceptionModule(Module):
         self._publishers: dict[str, LifecyclePublisher] = {}
         self._info_publishers: dict[str, LifecyclePublisher] = {}
         self._worker = Worker("perception", self._step, self.status)
-        self._turn = Turn()
+        self._handover = Handover()
         self._newest_s = 0.0
         self._missing: set[str] = set()
         self._published: set[str] = set()
@@ -60,7 +60,7 @@ class PerceptionModule(Module):
             self._info_publishers[camera.name] = self.node.create_lifecycle_publisher(
                 CameraInfo, camera_info(camera.name), NEWEST
             )
-        self._turn.serve(self.node, shadow=self.settings.shadow)
+        self._handover.serve(self.node, shadow=self.settings.shadow)
         self.status.set_value("source", spec.name)
         self.status.set_value("cameras", ",".join(self._publishers))
 
@@ -108,7 +108,7 @@ class PerceptionModule(Module):
             return
         self._newest_s = time.monotonic()
         self.status.set_value(f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}")
-        if self._turn.is_ours(frame.stamp_ns):
+        if self._handover.is_ours(frame.stamp_ns):
             info = to_camera_info(frame)
             if info is not None:
                 self._info_publishers[frame.camera].publish(info)

@@ -9,7 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from roboneuron.config import Config
 
 ModuleKind = Literal["robot", "perception", "inference", "control"]
-MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
+MODULE_CLASSES: dict[ModuleKind, str] = {
+    "robot": "roboneuron.modules.robot:RobotModule",
+    "perception": "roboneuron.modules.perception:PerceptionModule",
+    "inference": "roboneuron.modules.inference:InferenceModule",
+    "control": "roboneuron.modules.control:ControlModule",
+}
+"""What a module process of each kind runs, "module:attribute": imported in that process alone."""
+MODULE_KINDS: tuple[ModuleKind, ...] = tuple(MODULE_CLASSES)
 
 
 class ModuleSettings(BaseModel):
@@ -21,7 +28,7 @@ class ModuleSettings(BaseModel):
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
         on_join: "module:attribute" of functions that features want called once ROS is joined.
-        shadow: work on live inputs without publishing until its turn comes, see `roboneuron.modules.turn`.
+        shadow: work on live inputs without publishing until the handover, see `roboneuron.modules.handover`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -53,6 +60,6 @@ ACT_UNTIL = "act_until_ns"
 """ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
 PLAY_UNTIL = "play_until_ns"
 """ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
-TURN_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)
+HANDOVER_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)
 NEVER_NS = 2**62
 """As ACT_FROM: in shadow until told otherwise."""

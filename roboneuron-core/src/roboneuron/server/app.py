@@ -27,12 +27,12 @@ from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.events import Events
 from roboneuron.server.features import Features
 from roboneuron.server.host import Host
+from roboneuron.server.lifecycle_tools import closed_loop_tools
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.motion.path import DirectPath
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
 from roboneuron.server.pauses import shorten_pauses
-from roboneuron.server.pic import closed_loop_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources

@@ -1,32 +1,22 @@
-"""The closed loop as the agent operates it: choose, start, steer, switch, stop. Calls block; any thread may call."""
+"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread may call."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import Config
-from roboneuron.errors import RefusedError, StateError
+from roboneuron.errors import RefusedError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.server.compatibility import check_compatible
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.instructing import instruct
-from roboneuron.server.neighbours import check_cameras, check_same_commands
+from roboneuron.server.module_kinds import KINDS
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.replacing import Replacing, Switched, SwitchMode
-from roboneuron.server.selection import (
-    InferenceRequest,
-    Options,
-    Selection,
-    check_instruction,
-    select_control,
-    select_inference,
-    select_perception,
-    select_robot,
-)
+from roboneuron.server.selection import Selection, check_instruction
 from roboneuron.server.stream import ActionStream
-from roboneuron.server.trials import ControlTrial, InferenceTrial, PerceptionTrial
+from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -34,6 +24,10 @@ from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
     from roboneuron.plugins.specs import RobotSpec
+
+
+def ignore_stage(_: str) -> None:
+    """No listener for the stages of a start."""
 
 
 class ClosedLoop:
@@ -45,7 +39,6 @@ class ClosedLoop:
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self._replacing = Replacing(supervisor, self._start)
         self._streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
 
@@ -64,115 +57,52 @@ class ClosedLoop:
         spec = self.plugins.current().specs("robot").get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
-    def start_robot(
-        self, robot: str | None, driver: str | None, options: Options, on_stage: Stage, role: str = ""
-    ) -> ModuleView:
-        """Start a robot for a client with `role`. Raises as `select_robot` and `Supervisor.start`."""
-        selection = select_robot(self.base, self.plugins.current(), robot, driver, options, role)
-        namespace = selection.config.namespace
-        for view in self.supervisor.views():
-            if view.choice is not None and view.choice.settings.config.namespace != namespace:
-                raise StateError(
-                    f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
-                    f"not for {selection.config.robot.name!r}.",
-                    hint="Call stop_all first.",
-                )
-        return self._start("robot", selection, on_stage)
-
-    def start_perception(
-        self, source: str | None, cameras: tuple[str, ...], options: Options, on_stage: Stage, role: str = ""
-    ) -> ModuleView:
-        """Start the cameras. Raises as `select_perception` and `Supervisor.start`."""
-        selection = select_perception(self.config, self.plugins.current(), source, cameras, options, role)
-        return self._start("perception", selection, on_stage)
-
-    def start_control(self, controller: str | None, options: Options, on_stage: Stage, role: str = "") -> ModuleView:
-        """Start the controller. Raises as `select_control` and `Supervisor.start`."""
-        selection = select_control(self.config, self.plugins.current(), controller, options, role)
-        return self._start("control", selection, on_stage)
-
-    def start_inference(self, request: InferenceRequest, on_stage: Stage, role: str = "") -> ModuleView:
-        """Start a backend. Raises as `select_inference` and `Supervisor.start`."""
-        selection = self._select_inference(request, role)
-        self._check_may_move(selection)
-        return self._start("inference", selection, on_stage)
-
-    def switch_inference(
-        self, request: InferenceRequest, mode: SwitchMode, on_stage: Stage, role: str = ""
-    ) -> Switched:
-        """Replace the running backend.
-
-        The instruction is kept unless a new one is given. What can be refused beforehand is refused while the old one
-        still works; a warm switch that fails at any time leaves the old one at work.
-        """
-        old = self.supervisor.require_running("inference")
-        if request.instruction is None and old.report is not None and old.report.instruction:
-            request = replace(request, instruction=old.report.instruction)
-        selection = self._select_inference(request, role)
-        self._check_may_move(selection)
-        return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
-
-    def roll_back_inference(self, mode: SwitchMode, on_stage: Stage) -> Switched:
-        """Replace the running backend by the one before the last switch, with the present instruction.
+    def select(self, kind: ModuleKind, request: Arguments, role: str = "") -> Selection:
+        """What a client with `role` asks for, checked against all that is installed and runs; changes nothing.
 
         Raises:
-            StateError: there was no switch.
+            RoboNeuronError: as the kind's function in `roboneuron.server.selection`, and as `check`.
         """
-        old = self.supervisor.require_running("inference")
-        selection = self._replacing.before("inference", InferenceTrial.noun)
+        config = self.base if kind == "robot" else self.config
+        selection = KINDS[kind].select(config, self.plugins.current(), request, role)
+        self.check(selection)
+        return selection
+
+    def check(self, selection: Selection) -> None:
+        """Refuse what does not go together with the modules that run, or could not move now.
+
+        Raises:
+            StateError, InvalidInputError: as `check_compatible`.
+            RefusedError: a backend with an instruction proves itself by an action, and the emergency stop is latched.
+        """
+        check_compatible(selection, {view.kind: view for view in self.supervisor.views()})
         section = selection.config.inference
-        assert section is not None
-        instruction = old.report.instruction if old.report is not None else section.instruction
-        section = section.model_copy(update={"instruction": instruction})
-        selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
-        self._check_may_move(selection)
-        return self._replacing.replace(old, selection, self._inference_trial(selection), mode, on_stage)
+        if selection.kind == "inference" and section is not None and section.instruction:
+            self._check_not_latched()
 
-    def switch_perception(
-        self,
-        source: str | None,
-        cameras: tuple[str, ...],
-        options: Options,
-        mode: SwitchMode,
-        on_stage: Stage,
-        role: str = "",
-    ) -> Switched:
-        """Replace the running source of images, on the same topics; it serves the same cameras unless others are named.
+    def start(
+        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = ignore_stage, role: str = ""
+    ) -> ModuleView:
+        """Start a module for a client with `role`; as configured when there is no request.
 
-        Raises as `switch_inference`.
+        Raises:
+            RoboNeuronError: as `select` and `Supervisor.start`.
         """
-        old = self.supervisor.require_running("perception")
-        assert old.choice is not None
-        running = old.choice.settings.config.perception
-        served = running.cameras if running is not None else ()
-        selection = select_perception(self.config, self.plugins.current(), source, cameras or served, options, role)
-        self._check_serves_backend(selection)
-        return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
+        return self.start_selected(self.select(kind, request or KINDS[kind].request(), role), on_stage)
 
-    def roll_back_perception(self, mode: SwitchMode, on_stage: Stage) -> Switched:
-        """Go back to the source before the last switch. Raises StateError when there was no switch."""
-        old = self.supervisor.require_running("perception")
-        selection = self._replacing.before("perception", PerceptionTrial.noun)
-        self._check_serves_backend(selection)
-        return self._replacing.replace(old, selection, PerceptionTrial(self.supervisor, selection), mode, on_stage)
-
-    def switch_control(
-        self, controller: str | None, options: Options, mode: SwitchMode, on_stage: Stage, role: str = ""
-    ) -> Switched:
-        """Replace the running controller, on the same topics. Raises as `switch_inference`."""
-        old = self.supervisor.require_running("control")
-        selection = select_control(self.config, self.plugins.current(), controller, options, role)
-        check_same_commands(old, selection)
-        return self._replacing.replace(old, selection, ControlTrial(self.supervisor, selection), mode, on_stage)
-
-    def roll_back_control(self, mode: SwitchMode, on_stage: Stage) -> Switched:
-        """Go back to the controller before the last switch. Raises StateError when there was no switch."""
-        old = self.supervisor.require_running("control")
-        selection = self._replacing.before("control", ControlTrial.noun)
-        return self._replacing.replace(old, selection, ControlTrial(self.supervisor, selection), mode, on_stage)
-
-    def _inference_trial(self, selection: Selection) -> InferenceTrial:
-        return InferenceTrial(self.supervisor, selection, self.stream(selection.config.namespace))
+    def start_selected(self, selection: Selection, on_stage: Stage) -> ModuleView:
+        """Start what `select` returned. Raises as `Supervisor.start`."""
+        self.emergency_stop.prepare(selection.config.namespace)
+        if selection.kind == "inference":
+            self.stream(selection.config.namespace)
+        return self.supervisor.start(
+            selection.kind,
+            selection.config,
+            python=selection.python,
+            names=selection.names,
+            plan=selection.plan,
+            on_stage=on_stage,
+        )
 
     def stream(self, namespace: str) -> ActionStream:
         """What is sent on a robot's action topic since a backend was first started for it."""
@@ -217,12 +147,6 @@ class ClosedLoop:
         self._check_not_latched()
         return instruct(self.supervisor, text, timeout_s)
 
-    def _check_may_move(self, selection: Selection) -> None:
-        """A backend with an instruction has to prove itself by an action, which a latched stop forbids."""
-        section = selection.config.inference
-        if section is not None and section.instruction:
-            self._check_not_latched()
-
     def _check_not_latched(self) -> None:
         if self.emergency_stop.is_latched():
             cause = self.emergency_stop.cause()
@@ -230,26 +154,6 @@ class ClosedLoop:
                 f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would move.",
                 hint="A person releases it: see reset_emergency_stop.",
             )
-
-    def _select_inference(self, request: InferenceRequest, role: str) -> Selection:
-        selection = select_inference(self.config, self.plugins.current(), request, role)
-        perception = self.supervisor.view("perception")
-        if perception.phase == "running" and perception.choice is not None:
-            check_cameras(self.plugins.current(), selection.config, perception.choice.settings.config)
-        return selection
-
-    def _check_serves_backend(self, selection: Selection) -> None:
-        inference = self.supervisor.view("inference")
-        if inference.phase == "running" and inference.choice is not None:
-            check_cameras(self.plugins.current(), inference.choice.settings.config, selection.config)
-
-    def _start(self, kind: ModuleKind, selection: Selection, on_stage: Stage) -> ModuleView:
-        self.emergency_stop.prepare(selection.config.namespace)
-        if kind == "inference":
-            self.stream(selection.config.namespace)
-        return self.supervisor.start(
-            kind, selection.config, python=selection.python, names=selection.names, on_stage=on_stage
-        )
 
     def _base_sections(self) -> dict[str, Any]:
         return {

@@ -18,7 +18,7 @@ from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, R
 from roboneuron.gate.request import ADMIN
 from roboneuron.server.access import check_role, may_call
 from roboneuron.server.asking import QuestionError
-from roboneuron.server.schema import Schema, check_arguments, input_schema, output_schema
+from roboneuron.server.schema import Schema, check_arguments, input_schema, listed_output, output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
 log = logging.getLogger(__name__)
@@ -140,6 +140,10 @@ class ToolRegistry:
             *listed,
         ]
 
+    def output_schema(self, name: str) -> Schema:
+        """The whole output schema of a tool that is not derived, with what its fields mean; for the documentation."""
+        return self._output_schemas[name]
+
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result. Raises QuestionError, which is none."""
         try:
@@ -223,12 +227,11 @@ def _described(tool: Tool[Any] | DerivedTool, input_schema: Schema, output_schem
         title=tool.title,
         description=tool.description,
         input_schema=input_schema,
-        output_schema=output_schema,
+        output_schema=listed_output(output_schema),
         annotations=types.ToolAnnotations(
-            title=tool.title,
             read_only_hint=tool.read_only,
-            destructive_hint=tool.destructive,
-            idempotent_hint=tool.idempotent,
+            destructive_hint=None if tool.read_only else tool.destructive,  # they mean nothing for what only reads
+            idempotent_hint=None if tool.read_only else tool.idempotent or None,
             open_world_hint=tool.open_world,
         ),
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from typing import Literal
+from typing import Any
 
 from pydantic import Field
 
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.tool import Result
+from roboneuron.supervisor.slot import Phase
 from roboneuron.supervisor.view import ModuleView, Stopped
 from roboneuron.supervisor.watch import EXPLANATIONS, Health, assess
 
@@ -37,9 +38,7 @@ class ModuleStatus(Result):
     """One module: what it does, how fast, how fresh, and what is wrong."""
 
     module: ModuleKind
-    phase: Literal["stopped", "starting", "running", "stopping", "exited"] = Field(
-        description="exited: it ended by itself, see `exit`"
-    )
+    phase: Phase = Field(description="exited: it ended by itself, see `exit`")
     health: Health = Field(
         default="stopped",
         description="how it is: " + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
@@ -75,10 +74,19 @@ class ModuleStatus(Result):
     log: str | None = Field(default=None, description="resource with its log")
 
 
-class StartResult(Result):
+class ModuleSummary(Result):
+    """A module in short; get_status tells everything."""
+
+    module: ModuleKind
+    phase: Phase
+    health: Health
+    pid: int | None = None
+    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
+
+
+class StartResult(ModuleSummary):
     """A module that runs and has proved that it works."""
 
-    module: ModuleStatus
     took_s: float = Field(description="from the call to the proof of readiness")
 
 
@@ -97,26 +105,6 @@ class StopAllResult(Result):
     """Everything that was stopped, in that order; empty when nothing ran."""
 
     stopped: list[StopResult]
-
-
-class SwitchResult(Result):
-    """The new module runs and has proved that it works."""
-
-    module: ModuleStatus
-    replaced: dict[str, str] = Field(description="what ran before")
-    mode: Literal["warm", "cold"]
-    gap_s: float | None = Field(
-        default=None,
-        description="from the last output of the old one to the first of the new one, by the times at which they were "
-        "sent (actions of a backend, commands of a controller, images of a source, of the camera with the longest "
-        "gap); none when one of them sent nothing",
-    )
-    period_s: float | None = Field(default=None, description="time between the old one's outputs")
-    missed: int | None = Field(default=None, description="outputs left out in the old one's rhythm")
-    difference: float | None = Field(
-        default=None, description="how far the new actions, or commands, lay from the old ones in shadow [m or rad]"
-    )
-    took_s: float = Field(description="the whole call, loading included")
 
 
 class InstructionResult(Result):
@@ -147,6 +135,17 @@ class StatusResult(Result):
     pid: int = Field(description="of the server")
     versions: dict[str, str]
     log_directory: str
+
+
+def module_summary(view: ModuleView) -> dict[str, Any]:
+    """Fields of a `ModuleSummary`."""
+    return {
+        "module": view.kind,
+        "phase": view.phase,
+        "health": assess(view, time.monotonic()),
+        "pid": view.process.pid if view.process is not None and view.phase != "exited" else None,
+        "started_with": dict(view.choice.names) if view.choice is not None else {},
+    }
 
 
 def module_status(view: ModuleView) -> ModuleStatus:

@@ -42,6 +42,27 @@ def output_schema(model: type[BaseModel]) -> Schema:
     return schema
 
 
+def listed_output(schema: Schema) -> Schema:
+    """An output schema as `tools/list` shows it: the fields of the answer and their types.
+
+    Every agent reads the list in full before it does anything, so what is inside of nested objects, and what fields
+    mean, is left to docs/tools.md.
+    """
+    fields = {name: _listed_field(entry) for name, entry in schema.get("properties", {}).items()}
+    return {"type": "object", "properties": fields}
+
+
+def _listed_field(entry: Schema) -> Schema:
+    if "enum" in entry:
+        return {"enum": entry["enum"]}
+    if "$ref" in entry:
+        return {"type": "object"}
+    alternatives = [_listed_field(alternative).get("type") for alternative in entry.get("anyOf", ())]
+    if alternatives and all(isinstance(kind, str) for kind in alternatives):
+        return {"type": alternatives}
+    return {"type": entry["type"]} if "type" in entry else {}
+
+
 def _plain(node: Any, *, keep_null: bool = False) -> Any:
     """Drop generated titles and class docstrings; for inputs also the null alternative of optional arguments."""
     if isinstance(node, list):
@@ -58,6 +79,7 @@ def _plain(node: Any, *, keep_null: bool = False) -> Any:
         if not (key == "title" and isinstance(value, str))
         and not (key == "description" and "properties" in node)
         and not (key == "default" and value is None)
+        and not (key == "additionalProperties" and value is True)
     }
     alternatives = cleaned.get("anyOf")
     if not keep_null and alternatives and {"type": "null"} in alternatives and len(alternatives) == 2:

@@ -1,17 +1,55 @@
-"""What `[plugins.<name>]` and `agent_options` of a configuration say, against what is installed."""
+"""What a configuration says, against what is installed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
+from functools import partial
 
 from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
+from roboneuron.errors import (
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    PluginError,
+    RoboNeuronError,
+)
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.packages import install_command, known_names
 from roboneuron.plugins.record import Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+from roboneuron.server.module_kinds import KINDS, KindEntry
+
+
+def check_configuration(config: Config, registry: Registry) -> None:
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
+
+    Raises:
+        ConfigurationError, PlanningError: as the functions of `roboneuron.server.selection` and `check_sections`; all
+            that is wrong.
+    """
+    configured = [entry for entry in KINDS.values() if getattr(config, entry.kind) is not None]
+    checks: list[Callable[[], object]] = [partial(_check_kind, entry, config, registry) for entry in configured]
+    checks.append(partial(check_sections, config, registry))
+    problems: dict[str, RoboNeuronError] = {}
+    for check in checks:
+        try:
+            check()
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
+    try:
+        entry.select(config, registry, entry.request(), "")
+    except InvalidInputError as error:  # a checkpoint may be named later, by the agent
+        if error.path != "checkpoint":
+            raise ConfigurationError(error.message, hint=error.hint) from error
 
 
 def check_sections(config: Config, registry: Registry) -> None:

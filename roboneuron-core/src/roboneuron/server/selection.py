@@ -5,25 +5,20 @@ Nothing is spawned, and nothing heavy imported: names, plans, options, paths and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import (
-    CheckpointError,
-    ConfigurationError,
-    InvalidInputError,
-    MissingDependencyError,
-    RoboNeuronError,
-)
+from roboneuron.errors import CheckpointError, InvalidInputError, MissingDependencyError
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
 from roboneuron.server.option_rights import check_may_load, check_may_set
-from roboneuron.server.sections import check_sections
+from roboneuron.server.requests import StartControl, StartInference, StartPerception, StartRobot
 
 Options = Mapping[str, Any]
 
@@ -33,60 +28,43 @@ class Selection:
     """What to start.
 
     Attributes:
+        kind: of the module.
         config: the effective configuration.
         names: what was chosen, for messages and the status.
+        plan: the descriptors behind these names.
         python: interpreter of the module's own environment.
     """
 
+    kind: ModuleKind
     config: Config
     names: Mapping[str, str]
+    plan: Plan
     python: str | None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class InferenceRequest:
-    """Arguments of `start_inference` and `switch_inference`; None means "as configured"."""
-
-    backend: str | None = None
-    checkpoint: str | None = None
-    runtime: str | None = None
-    acceleration: str | None = None
-    instruction: str | None = None
-    cameras: Mapping[str, str] | None = None
-    options: Options | None = None
-
-
-def select_robot(
-    config: Config, registry: Registry, robot: str | None, driver: str | None, options: Options, role: str = ""
-) -> Selection:
+def select_robot(config: Config, registry: Registry, request: StartRobot, role: str = "") -> Selection:
     """Check a robot and its driver.
 
     Args:
-        role: of the client that gave `options`; here and below, "" may set nothing that is restricted.
+        role: of the client that made the request; here and below, "" may set nothing that is restricted.
 
     Raises:
         ConfigurationError: unknown or unusable names or options.
         RefusedError: options that only the configuration may set.
     """
     section = config.robot
-    if robot is not None and robot != section.name:
-        section = RobotConfig(name=robot)
-    if driver is not None:
-        section = section.model_copy(update={"driver": driver})
+    if request.robot is not None and request.robot != section.name:
+        section = RobotConfig(name=request.robot)
+    if request.driver is not None:
+        section = section.model_copy(update={"driver": request.driver})
     plan = check_plan(registry, robot=section.name, driver=section.driver)
-    config = _merge(config, section.name, plan.driver, options, role).model_copy(update={"robot": section})
+    config = _merge(config, section.name, plan.driver, request.options, role).model_copy(update={"robot": section})
     _check_options(plan.driver, config.options(section.name), section.python, f"plugins.{section.name}")
-    return Selection(config=config, names={"robot": section.name, "driver": section.driver}, python=section.python)
+    names = {"robot": section.name, "driver": section.driver}
+    return Selection(kind="robot", config=config, names=names, plan=plan, python=section.python)
 
 
-def select_perception(
-    config: Config,
-    registry: Registry,
-    source: str | None,
-    cameras: tuple[str, ...],
-    options: Options,
-    role: str = "",
-) -> Selection:
+def select_perception(config: Config, registry: Registry, request: StartPerception, role: str = "") -> Selection:
     """Check a source and its cameras.
 
     Raises:
@@ -96,12 +74,12 @@ def select_perception(
         PlanningError: the source does not serve this robot.
     """
     section = config.perception
-    if section is None or (source is not None and source != section.source):
-        if source is None:
+    if section is None or (request.source is not None and request.source != section.source):
+        if request.source is None:
             raise _unnamed("source", "perception", registry)
-        section = PerceptionConfig(source=source)
-    if cameras:
-        section = section.model_copy(update={"cameras": cameras})
+        section = PerceptionConfig(source=request.source)
+    if request.cameras:
+        section = section.model_copy(update={"cameras": tuple(request.cameras)})
     plan = _plan(config, registry, perception=section.source)
     known = [camera.name for camera in plan.robot.cameras]
     for camera in section.cameras:
@@ -111,16 +89,14 @@ def select_perception(
                 hint=f"Its cameras: {', '.join(known) or 'none'}.",
             )
     assert plan.perception is not None
-    config = _merge(config, section.source, plan.perception, options, role)
+    config = _merge(config, section.source, plan.perception, request.options, role)
     config = config.model_copy(update={"perception": section})
     _check_options(plan.perception, config.options(section.source), section.python)
     names = {"source": section.source, "cameras": ", ".join(section.cameras or known)}
-    return Selection(config=config, names=names, python=section.python)
+    return Selection(kind="perception", config=config, names=names, plan=plan, python=section.python)
 
 
-def select_control(
-    config: Config, registry: Registry, controller: str | None, options: Options, role: str = ""
-) -> Selection:
+def select_control(config: Config, registry: Registry, request: StartControl, role: str = "") -> Selection:
     """Check a controller.
 
     Raises:
@@ -130,19 +106,20 @@ def select_control(
         PlanningError: it cannot move this kind of robot.
     """
     section = config.control
-    if section is None or (controller is not None and controller != section.controller):
-        if controller is None:
+    if section is None or (request.controller is not None and request.controller != section.controller):
+        if request.controller is None:
             raise _unnamed("controller", "controller", registry)
-        section = ControlConfig(controller=controller)
+        section = ControlConfig(controller=request.controller)
     plan = _plan(config, registry, controller=section.controller)
     assert plan.controller is not None
-    config = _merge(config, section.controller, plan.controller, options, role)
+    config = _merge(config, section.controller, plan.controller, request.options, role)
     config = config.model_copy(update={"control": section})
     _check_options(plan.controller, config.options(section.controller), section.python)
-    return Selection(config=config, names={"controller": section.controller}, python=section.python)
+    names = {"controller": section.controller}
+    return Selection(kind="control", config=config, names=names, plan=plan, python=section.python)
 
 
-def select_inference(config: Config, registry: Registry, request: InferenceRequest, role: str = "") -> Selection:
+def select_inference(config: Config, registry: Registry, request: StartInference, role: str = "") -> Selection:
     """Check a backend with all that belongs to it.
 
     Raises:
@@ -174,7 +151,7 @@ def select_inference(config: Config, registry: Registry, request: InferenceReque
         cameras=section.cameras,
     )
     assert plan.backend is not None
-    config = _merge(config, section.backend, plan.backend, request.options or {}, role)
+    config = _merge(config, section.backend, plan.backend, request.options, role)
     section = _check_checkpoint(section, plan, config, request.checkpoint)
     config = config.model_copy(update={"inference": section})
     options = dict(config.options(section.backend))
@@ -192,7 +169,7 @@ def select_inference(config: Config, registry: Registry, request: InferenceReque
         "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
     }
     chosen = {key: name for key, name in names.items() if name}
-    return Selection(config=config, names=chosen, python=section.python)
+    return Selection(kind="inference", config=config, names=chosen, plan=plan, python=section.python)
 
 
 def check_instruction(text: str) -> str:
@@ -263,36 +240,3 @@ def _unnamed(argument: str, kind: str, registry: Registry) -> InvalidInputError:
         hint=f"Name one: {choices}." if choices else f"No {kind} plugin is installed.",
         path=argument,
     )
-
-
-def check_configuration(config: Config, registry: Registry) -> None:
-    """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
-
-    Raises:
-        ConfigurationError, PlanningError: as the `select_...` functions and `check_sections`; all that is wrong.
-    """
-    checks: list[Callable[[], object]] = [lambda: select_robot(config, registry, None, None, {})]
-    if config.perception is not None:
-        checks.append(lambda: select_perception(config, registry, None, (), {}))
-    if config.control is not None:
-        checks.append(lambda: select_control(config, registry, None, {}))
-    checks += [lambda: _check_inference(config, registry), lambda: check_sections(config, registry)]
-    problems: dict[str, RoboNeuronError] = {}
-    for check in checks:
-        try:
-            check()
-        except RoboNeuronError as error:
-            problems.setdefault(str(error), error)
-    if len(problems) == 1:
-        raise next(iter(problems.values()))
-    if problems:
-        raise ConfigurationError("\n".join(problems))
-
-
-def _check_inference(config: Config, registry: Registry) -> None:
-    if config.inference is not None:
-        try:
-            select_inference(config, registry, InferenceRequest())
-        except InvalidInputError as error:  # a checkpoint may be named later, by the agent
-            if error.path != "checkpoint":
-                raise ConfigurationError(error.message, hint=error.hint) from error

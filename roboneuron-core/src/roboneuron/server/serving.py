@@ -15,7 +15,7 @@ from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.server.app import Application
 from roboneuron.server.feature import Transport
-from roboneuron.server.selection import check_configuration
+from roboneuron.server.sections import check_configuration
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 
 log = logging.getLogger(__name__)

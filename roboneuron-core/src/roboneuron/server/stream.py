@@ -1,38 +1,16 @@
-"""The action topic as the control plane sees it while a backend is replaced: values and DDS source times."""
+"""The newest actions on the action topic, as the control plane receives them: values and DDS source times."""
 
 from __future__ import annotations
 
-import statistics
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
 _KEPT = 4096
-_RECENT = 20
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Gap:
-    """What a change-over did to the stream of actions.
-
-    Attributes:
-        gap_s: from the last action of the old backend to the first of the new one.
-        period_s: median time between the old one's last actions.
-    """
-
-    gap_s: float
-    period_s: float
-
-    @property
-    def missed(self) -> int:
-        """Actions that would have come in the old one's rhythm and did not; half a period late is still in rhythm."""
-        return max(0, round(self.gap_s / self.period_s) - 1)
 
 
 class ActionStream:
@@ -75,13 +53,7 @@ class ActionStream:
         with self._lock:
             return list(self._actions)[-most:]
 
-    def gap(self, first_ns: int) -> Gap | None:
-        """The gap before the action sent at `first_ns` [ns] or right after it; None without two actions before it."""
+    def sent_ns(self) -> list[int]:
+        """When the actions that are kept were sent [ns], oldest first."""
         with self._lock:
-            times = [sent_ns for sent_ns, _ in self._actions]
-        before = [sent_ns for sent_ns in times if sent_ns < first_ns][-_RECENT:]
-        first = next((sent_ns for sent_ns in times if sent_ns >= first_ns), None)
-        if len(before) < 2 or first is None:
-            return None
-        period_ns = statistics.median(b - a for a, b in pairwise(before))
-        return Gap(gap_s=(first - before[-1]) / 1e9, period_s=max(1e-6, period_ns / 1e9))
+            return [at for at, _ in self._actions]

@@ -9,6 +9,7 @@ from typing import Literal
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.process import ModuleProcess
 
@@ -34,10 +35,17 @@ class Exit:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Choice:
-    """What a module was started with, for messages and the status: {"backend": "servo", ...}."""
+    """What a module was started with.
+
+    Attributes:
+        settings: what its process was told.
+        names: what was chosen, for messages and the status: {"backend": "servo", ...}.
+        plan: the descriptors behind these names; None when it was started without a plan.
+    """
 
     settings: ModuleSettings
     names: Mapping[str, str] = field(default_factory=dict)
+    plan: Plan | None = None
 
 
 class Slot:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from roboneuron.config import Config
 from roboneuron.errors import StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
+from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
@@ -103,6 +104,7 @@ class Supervisor:
         *,
         python: str | None = None,
         names: Mapping[str, str] | None = None,
+        plan: Plan | None = None,
         on_stage: Stage = _ignore,
     ) -> ModuleView:
         """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves nothing behind.
@@ -112,6 +114,7 @@ class Supervisor:
             config: the effective configuration it is told.
             python: interpreter of its own environment.
             names: what was chosen, for messages.
+            plan: the descriptors behind these names.
             on_stage: called with a phrase whenever the start has come further.
 
         Raises:
@@ -123,7 +126,7 @@ class Supervisor:
         with self.changes.lock:
             self._check_open()
             settings = self._settings(kind, kind, config)
-            slot.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
+            slot.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
         self._launcher.bring_up(slot, settings, python, on_stage)
         return self.view(kind)
 
@@ -134,6 +137,7 @@ class Supervisor:
         *,
         python: str | None = None,
         names: Mapping[str, str] | None = None,
+        plan: Plan | None = None,
         on_stage: Stage = _ignore,
     ) -> Slot:
         """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
@@ -152,7 +156,7 @@ class Supervisor:
                 raise StateError(f"{kind} is already being replaced.", hint="Wait for the end of that call.")
             name = kind if active.choice.settings.node_name != kind else f"{kind}_b"
             settings = self._settings(kind, name, config, shadow=True)
-            standby.begin_start(Choice(settings=settings, names=names or {}), next(self._order))
+            standby.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
             self._beside.append(standby)
         try:
             self._launcher.bring_up(standby, settings, python, on_stage)

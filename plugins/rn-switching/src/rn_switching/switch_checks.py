@@ -1,21 +1,20 @@
-"""What a new module has to show in shadow before its turn comes, and what its first output is; one class per kind."""
+"""What a new module has to show in shadow before the handover, and what its first output is; one class per kind."""
 
 from __future__ import annotations
 
 import statistics
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
 
+from rn_switching.gap import Gap, action_gap
 from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.stream import ActionStream, Gap
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.module_kinds import KINDS
+from roboneuron.server.selection import Selection
 from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.supervisor import Supervisor
-
-if TYPE_CHECKING:
-    from roboneuron.server.selection import Selection
 
 _LOOKS = 3
 """So many shadow actions are compared: reports come every 0.2 s. Control compares in its own process."""
@@ -26,20 +25,24 @@ Shadow = Callable[[], Report]
 """The newest report of the new module; raises what is wrong with it or with the old one."""
 
 
-class Trial(ABC):
-    """One change-over of one kind; used once, on the thread of the caller.
+class SwitchCheck(ABC):
+    """One switch of one kind; used once, on the thread of the caller.
 
     Attributes:
         kind: of the modules.
-        noun: what such a module runs, for messages.
     """
 
     kind: ClassVar[ModuleKind]
-    noun: ClassVar[str]
 
-    def __init__(self, supervisor: Supervisor, selection: Selection) -> None:
-        self._supervisor = supervisor
+    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
+        self._loop = loop
+        self._supervisor = loop.supervisor
         self._config = selection.config
+
+    @property
+    def noun(self) -> str:
+        """What such a module runs, for messages."""
+        return KINDS[self.kind].noun
 
     @abstractmethod
     def compare(self, shadow: Shadow) -> float | None:
@@ -71,22 +74,21 @@ class Trial(ABC):
         return self._supervisor.report_of(self._supervisor.slot(self.kind))
 
 
-class InferenceTrial(Trial):
-    """Shadow actions lie near those on the topic; the first action proves the take-over."""
+class InferenceCheck(SwitchCheck):
+    """Shadow actions lie near those on the topic; the first action proves the handover."""
 
     kind = "inference"
-    noun = "backend"
 
-    def __init__(self, supervisor: Supervisor, selection: Selection, stream: ActionStream) -> None:
-        super().__init__(supervisor, selection)
-        self._stream = stream
+    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
+        super().__init__(loop, selection)
+        self._stream = loop.stream(selection.config.namespace)
         section = selection.config.inference
         assert section is not None
         self._bound = section.switch_max_difference
         self._has_instruction = bool(section.instruction)
 
     def compare(self, shadow: Shadow) -> float | None:
-        """See `Trial.compare`."""
+        """See `SwitchCheck.compare`."""
         if not self._has_instruction:
             return None
         started_ns = time.time_ns()
@@ -118,23 +120,22 @@ class InferenceTrial(Trial):
         return self._has_instruction
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `Trial.has_taken_over`."""
+        """See `SwitchCheck.has_taken_over`."""
         return "first_action_ns" in new.metrics
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """See `Trial.measure`."""
+        """See `SwitchCheck.measure`."""
         first_ns = _number(new, "first_action_ns")
-        return self._stream.gap(first_ns) if first_ns else None
+        return action_gap(self._stream.sent_ns(), first_ns) if first_ns else None
 
 
-class PerceptionTrial(Trial):
-    """Images have the size that the backend knows; one of each camera proves the take-over."""
+class PerceptionCheck(SwitchCheck):
+    """Images have the size that the backend knows; one of each camera proves the handover."""
 
     kind = "perception"
-    noun = "source"
 
     def compare(self, shadow: Shadow) -> float | None:
-        """See `Trial.compare`; images are not compared, so there is no number."""
+        """See `SwitchCheck.compare`; images are not compared, so there is no number."""
         sizes, before = _by_camera(shadow(), "size."), _by_camera(self.old(), "size.")
         if self._supervisor.view("inference").phase != "running":
             return None
@@ -152,7 +153,7 @@ class PerceptionTrial(Trial):
         return max(super().latency_s(new), _period_s(self.old()) or 0.0)
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `Trial.has_taken_over`."""
+        """See `SwitchCheck.has_taken_over`."""
         return _by_camera(new, "size.").keys() == _by_camera(new, "first_sent_ns.").keys()
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
@@ -162,21 +163,20 @@ class PerceptionTrial(Trial):
         return Gap(gap_s=max(gaps), period_s=period_s) if gaps and period_s else None
 
 
-class ControlTrial(Trial):
-    """Poses and commands lie near those of the old controller; the first command proves the take-over, or a pose."""
+class ControlCheck(SwitchCheck):
+    """Poses and commands lie near those of the old controller; the first command proves the handover, or a pose."""
 
     kind = "control"
-    noun = "controller"
 
-    def __init__(self, supervisor: Supervisor, selection: Selection) -> None:
-        super().__init__(supervisor, selection)
+    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
+        super().__init__(loop, selection)
         section = selection.config.control
         assert section is not None
         self._bound = section.switch_max_difference
         self._is_commanding = False
 
     def compare(self, shadow: Shadow) -> float | None:
-        """See `Trial.compare`."""
+        """See `SwitchCheck.compare`."""
         commanding = self._commands()
 
         def enough() -> bool:
@@ -216,7 +216,7 @@ class ControlTrial(Trial):
         return True
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `Trial.has_taken_over`."""
+        """See `SwitchCheck.has_taken_over`."""
         return "first_sent_ns.command" in new.metrics or (
             not self._is_commanding and "first_sent_ns.pose" in new.metrics
         )
@@ -239,6 +239,12 @@ class ControlTrial(Trial):
     def _commands(self) -> bool:
         """Whether the running control moves the arm now."""
         return abs(time.time_ns() - _number(self.old(), "last_sent_ns.command")) < _RECENT_NS
+
+
+CHECKS: Mapping[ModuleKind, type[SwitchCheck]] = {
+    check.kind: check for check in (InferenceCheck, PerceptionCheck, ControlCheck)
+}
+"""The kinds of modules that can be replaced."""
 
 
 def _difference(shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]) -> float | None:

@@ -1,8 +1,8 @@
-"""Replacing a running module between two of its outputs: the new one works in shadow until its moment comes.
+"""Replacement of a running module between two of its outputs: the new one works in shadow until the handover.
 
-The moment is a point in the time of what both work on (see `roboneuron.modules.turn`): it lies so far ahead that both
-processes know of it before, so neither acts on what is the other's. Until then nothing changes; if the new one does not
-act in time afterwards, the old one does again.
+The handover is a moment in the time of the inputs of both (see `roboneuron.modules.handover`). It lies so far ahead
+that both processes know it beforehand, so neither acts on the other's inputs. Until then nothing changes; if the new
+module does not act in time afterwards, the old one acts again.
 """
 
 from __future__ import annotations
@@ -13,20 +13,17 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from rn_switching.gap import Gap
+from rn_switching.switch_checks import SwitchCheck
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
-from roboneuron.server.stream import Gap
+from roboneuron.server.selection import Selection
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
-
-if TYPE_CHECKING:
-    from roboneuron.server.selection import Selection
-    from roboneuron.server.trials import Trial
 
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
@@ -45,7 +42,7 @@ ARRIVAL_S = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """How a change-over went.
+    """How a handover went.
 
     Attributes:
         gap: None when nothing was sent before or after it.
@@ -57,13 +54,13 @@ class Change:
 
 
 class WarmSwitch:
-    """One change-over; used once, on the thread of the caller."""
+    """One switch; used once, on the thread of the caller."""
 
-    def __init__(self, supervisor: Supervisor, selection: Selection, trial: Trial, on_stage: Stage) -> None:
+    def __init__(self, supervisor: Supervisor, selection: Selection, check: SwitchCheck, on_stage: Stage) -> None:
         self._supervisor = supervisor
         self._selection = selection
-        self._trial = trial
-        self._kind = trial.kind
+        self._check = check
+        self._kind = check.kind
         self._on_stage = on_stage
         self._late_since_s = math.inf
 
@@ -79,18 +76,19 @@ class WarmSwitch:
             selection.config,
             python=selection.python,
             names=selection.names,
+            plan=selection.plan,
             on_stage=lambda text: self._on_stage(f"new {text}"),
         )
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
-            difference = self._trial.compare(lambda: self._healthy(standby))
+            difference = self._check.compare(lambda: self._healthy(standby))
             self._await_listeners(standby)
             old = self._hand_over(standby)
         except BaseException:
             supervisor.discard(standby)
             raise
         gap = self._measure(old, standby)
-        self._on_stage(f"{self._kind}: ending the old {self._trial.noun}")
+        self._on_stage(f"{self._kind}: ending the old {self._check.noun}")
         supervisor.discard(old)
         return Change(gap=gap, difference=difference)
 
@@ -108,7 +106,7 @@ class WarmSwitch:
 
         if not self._supervisor.changes.wait_for(lambda: not lacking(), _FIND_S):
             raise NotReadyError(
-                f"The new {self._trial.noun} was found by too few listeners within {_FIND_S:g} s: "
+                f"The new {self._check.noun} was found by too few listeners within {_FIND_S:g} s: "
                 f"{', '.join(lacking().values())}. Nothing was replaced.",
                 hint="Try again when the machine is less busy.",
             )
@@ -120,7 +118,7 @@ class WarmSwitch:
         def gap() -> Gap | None:
             last = supervisor.report_of(old)
             is_last = last is None or last.received_s > now_s
-            return self._trial.measure(last, supervisor.report_of(new)) if is_last else None
+            return self._check.measure(last, supervisor.report_of(new)) if is_last else None
 
         return supervisor.changes.wait_for(gap, ARRIVAL_S)
 
@@ -129,7 +127,7 @@ class WarmSwitch:
         old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
         margin_s = self._probe(clients, standby)
-        latency_s = self._trial.latency_s(self._healthy(standby))
+        latency_s = self._check.latency_s(self._healthy(standby))
         moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
         self._on_stage(f"{self._kind}: changing over")
         try:
@@ -141,9 +139,9 @@ class WarmSwitch:
                 call = client.send(values)
                 refused = client.finish(call, max(0.0, left_s), lambda: self._healthy(standby))
                 if refused:
-                    raise StateError(f"A change-over was refused: {refused}.")
-            if self._trial.is_due():
-                self._await_turn(standby, due_s, latency_s)
+                    raise StateError(f"The handover was refused: {refused}.")
+            if self._check.is_due():
+                self._await_first_output(standby, due_s, latency_s)
             return self._supervisor.adopt(standby)
         except BaseException as error:
             self._roll_back(clients, old, error)
@@ -155,20 +153,20 @@ class WarmSwitch:
         for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
             refused = client.set(values, _FIND_S, lambda: self._healthy(standby))
             if refused:
-                raise StateError(f"A change-over was refused: {refused}.")
+                raise StateError(f"The handover was refused: {refused}.")
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
-    def _await_turn(self, standby: Slot, due_s: float, latency_s: float) -> None:
+    def _await_first_output(self, standby: Slot, due_s: float, latency_s: float) -> None:
         bound_s = max(0.0, due_s - time.monotonic()) + _FIRST_S + 3 * latency_s
-        if not self._supervisor.changes.wait_for(lambda: self._trial.has_taken_over(self._healthy(standby)), bound_s):
+        if not self._supervisor.changes.wait_for(lambda: self._check.has_taken_over(self._healthy(standby)), bound_s):
             raise NotReadyError(
-                f"The new {self._trial.noun} did not act when its turn came; the old one acts again.",
+                f"The new {self._check.noun} did not act after the handover; the old one acts again.",
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
     def _roll_back(self, clients: Sequence[ParameterClient], slot: Slot, cause: BaseException) -> None:
         """The old one acts again; the new one is told not to, and ended by the caller in any case."""
-        log.warning("The change-over is undone: %s", cause)
+        log.warning("The handover is undone: %s", cause)
         old, new = clients
         with suppress(RoboNeuronError):
             new.send({ACT_FROM: NEVER_NS})
@@ -177,7 +175,7 @@ class WarmSwitch:
         except RoboNeuronError as error:
             refused = error.message
         if refused:
-            log.error("The old %s could not be told to go on: %s", self._trial.noun, refused)
+            log.error("The old %s could not be told to go on: %s", self._check.noun, refused)
             if isinstance(cause, RoboNeuronError):
                 cause.hint = f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
 
@@ -187,7 +185,7 @@ class WarmSwitch:
         self._supervisor.slot(self._kind).check_alive("being replaced")
         report = self._supervisor.report_of(slot)
         if report is None:
-            raise NotReadyError(f"The new {self._trial.noun} has fallen silent; nothing was replaced.")
+            raise NotReadyError(f"The new {self._check.noun} has fallen silent; nothing was replaced.")
         failure = report.failure()
         if not isinstance(failure, NotReadyError):  # what is late may still be in time for the next input
             self._late_since_s = math.inf
@@ -196,7 +194,7 @@ class WarmSwitch:
             if not isinstance(failure, NotReadyError) or time.monotonic() - self._late_since_s > _LATE_S:
                 raise failure
         if self._supervisor.slot(self._kind).phase != "running":
-            raise StateError(f"The running {self._trial.noun} has ended meanwhile; nothing was replaced.")
+            raise StateError(f"The running {self._check.noun} has ended meanwhile; nothing was replaced.")
         return report
 
     def _client(self, slot: Slot) -> ParameterClient:

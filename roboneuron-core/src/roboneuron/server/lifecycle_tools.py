@@ -1,4 +1,4 @@
-"""The closed-loop tools (perception, inference, control): what the agent reads, around `ClosedLoop`."""
+"""The tools that start, instruct and stop the modules of the closed loop."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from typing import Any
 
 from pydantic import Field
 
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.module_kinds import KINDS, KindEntry
+from roboneuron.server.requests import MAX_INSTRUCTION_LENGTH
 from roboneuron.server.results import InstructionResult, StopAllResult, StopResult, stop_result
-from roboneuron.server.start_tools import MAX_INSTRUCTION_LENGTH, start_tools
-from roboneuron.server.switch_tools import switch_tools
+from roboneuron.server.start_tools import start_tools
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
 
 
@@ -30,8 +31,7 @@ def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     return [
         *start_tools(loop),
         _set_instruction(loop),
-        *switch_tools(loop),
-        *(_stop_tool(loop, kind) for kind in MODULE_KINDS),
+        *(_stop_tool(loop, KINDS[kind]) for kind in MODULE_KINDS),
         _stop_all(loop),
     ]
 
@@ -56,13 +56,8 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     )
 
 
-def _stop_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
-    effect = {
-        "robot": "the driver holds the robot and disconnects",
-        "perception": "the cameras are closed; actions cease when images do",
-        "inference": "no more actions; the arm holds",
-        "control": "the arm holds; no more joint commands",
-    }[kind]
+def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+    kind = entry.kind
 
     async def handler(_: NoArguments, context: CallContext) -> StopResult:
         return stop_result(kind, await context.run(lambda _: loop.stop(kind)))
@@ -70,8 +65,8 @@ def _stop_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
     return Tool(
         name=f"stop_{kind}",
         title=f"Stop {kind}",
-        description=f"Stop {kind}: {effect}. Returns when its process is gone; also cancels a start in progress. "
-        "An error if it does not run.",
+        description=f"Stop {kind}: {entry.stop_text}. Returns when its process is gone; also cancels a start in "
+        "progress. An error if it does not run.",
         arguments=NoArguments,
         result=StopResult,
         handler=handler,

@@ -1,9 +1,9 @@
-"""Whose turn it is to act: a change-over between two modules of a kind is a moment in the time of what they work on.
+"""Handover between two modules of one kind at a moment in the time of their inputs.
 
-Both modules are active on the same topics. What was stamped before the moment belongs to the old one, later things to
-the new one, so that nothing is acted on twice and nothing is left out, however long the messages about it take. Until
-its turn comes, a module works in shadow: it does its work on live inputs and publishes nothing. Inference goes by the
-capture time of images, perception by that of its own, control by the times at which actions were sent and joints
+Both modules are active on the same topics. Inputs stamped before the moment belong to the old module, later ones to the
+new module, so nothing is acted on twice and nothing is left out, however long the messages about it take. Before the
+handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference compares the capture
+time of images, perception the capture time of its own images, control the times at which actions were sent and joints
 measured.
 
 A moment is a ROS time only for as long as messages from before it may still be on their way. After that it is past for
@@ -20,7 +20,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, TURN_PARAMETERS
+from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, HANDOVER_PARAMETERS, NEVER_NS, PLAY_UNTIL
 
 _SETTLE_S = 5.0
 """A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
@@ -28,8 +28,8 @@ _FARTHEST_S = 10.0
 """A moment farther ahead than this was made before the clock was set."""
 
 
-class Turn:
-    """The three moments; read by the module's threads, set by the executor's.
+class Handover:
+    """The three moments of a handover; read by the module's threads, set by the executor's.
 
     Args:
         now_ns: ROS time [ns].
@@ -39,27 +39,27 @@ class Turn:
     def __init__(self, now_ns: Callable[[], int] = time.time_ns, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_ns = now_ns
         self._now_s = now_s
-        self._moments_ns = dict.fromkeys(TURN_PARAMETERS, 0)
-        self._past_s = dict.fromkeys(TURN_PARAMETERS, math.inf)
+        self._moments_ns = dict.fromkeys(HANDOVER_PARAMETERS, 0)
+        self._past_s = dict.fromkeys(HANDOVER_PARAMETERS, math.inf)
 
     def serve(self, node: Node, *, shadow: bool) -> None:
         """Let the moments be set as parameters of `node`; does nothing the second time.
 
         Args:
             node: of a module without other parameters to check.
-            shadow: its turn has not come yet.
+            shadow: the module starts in shadow.
         """
         if node.has_parameter(ACT_FROM):
             return
         node.add_on_set_parameters_callback(self._on_parameters)
-        for name in TURN_PARAMETERS:
+        for name in HANDOVER_PARAMETERS:
             node.declare_parameter(name, NEVER_NS if shadow and name == ACT_FROM else 0)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        turns = [parameter for parameter in parameters if parameter.name in TURN_PARAMETERS]
-        refused = next((reason for turn in turns if (reason := self.check(turn))), "")
+        moments = [parameter for parameter in parameters if parameter.name in HANDOVER_PARAMETERS]
+        refused = next((reason for moment in moments if (reason := self.check(moment))), "")
         if not refused:
-            self.set(turns)
+            self.set(moments)
         return SetParametersResult(successful=not refused, reason=refused)
 
     def check(self, parameter: Parameter) -> str:

@@ -14,12 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rn_switching.replacing import Switching
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.requests import StartControl, StartPerception
 from roboneuron.testing.fakes import gantry_profile
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Witness, moving_loop, quiet
 
 sys.path.pop(0)
@@ -29,13 +31,13 @@ RATE_HZ = 20.0
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop, Witness]]:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching, Witness]]:
     with moving_loop(tmp_path_factory.mktemp("loop"), RATE_HZ) as made:
         yield made
 
 
 @pytest.fixture
-def cell(built: tuple[ClosedLoop, Witness]) -> tuple[ClosedLoop, Witness]:
+def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     """The loop of the module with whatever the test before left at work; the witness has seen nothing yet."""
     built[1].forget()
     return built
@@ -61,15 +63,15 @@ def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], sw
     return str(caught.value)
 
 
-def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[ClosedLoop, Witness]) -> None:
+def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[Switching, Witness]) -> None:
     with pytest.raises(StateError, match="no source to go back to"):
-        cell[0].roll_back_perception("warm", quiet)
+        cell[0].roll_back("perception", "warm")
 
 
-def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[ClosedLoop, Witness]) -> None:
-    loop, witness = cell
+def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Switching, Witness]) -> None:
+    switching, witness = cell
     witness.more_actions()
-    switched = loop.switch_perception("other", (), {}, "warm", quiet)
+    switched = switching.switch("perception", StartPerception(source="other"), "warm")
     assert switched.view.choice is not None
     assert switched.view.choice.names["source"] == "other"
     assert switched.replaced["source"] == "numbering"
@@ -77,24 +79,27 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Cl
     assert gap is not None
     print(f"gap {gap.gap_s * 1e3:.0f} ms, period {gap.period_s * 1e3:.0f} ms, call {switched.took_s:.1f} s")
     assert gap.gap_s < 0.25
-    back = loop.roll_back_perception("warm", quiet)
+    back = switching.roll_back("perception", "warm")
     assert back.view.choice is not None
     assert back.view.choice.names["source"] == "numbering"
     actions = witness.more_actions()
     times = [action.at_ns / 1e9 for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5, "the backend was without images"
-    cold = loop.switch_perception("other", (), {}, "cold", quiet)
+    cold = switching.switch("perception", StartPerception(source="other"), "cold")
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > gap.gap_s
     witness.more_actions()
 
 
-def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
-    loop, witness = cell
+def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+    switching, witness = cell
+    loop = switching.loop
     mode = tmp_path / "mode"
 
     def switch(on_stage: Callable[[str], None] = quiet, **options: object) -> Callable[[], object]:
-        return lambda: loop.switch_perception("other", (), options, "warm", on_stage)
+        return lambda: switching.switch(
+            "perception", StartPerception(source="other", options=options), "warm", on_stage
+        )
 
     text = refused(loop, "perception", RefusedError, switch(scale=2))
     assert "'front'" in text
@@ -115,15 +120,16 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, 
 
     assert "signal 9" in refused(loop, "perception", NotReadyError, switch(kill))
     with pytest.raises(InvalidInputError, match="needs the camera front"):
-        loop.switch_perception("other", ("hand",), {}, "warm", quiet)
+        switching.switch("perception", StartPerception(source="other", cameras=["hand"]))
     witness.more_actions()
 
 
-def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[ClosedLoop, Witness]) -> None:
-    loop, witness = cell
+def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[Switching, Witness]) -> None:
+    switching, witness = cell
+    loop = switching.loop
     witness.more_actions(10)
     first = len(witness.commands())
-    switched = loop.switch_control("faulty", {}, "warm", quiet)
+    switched = switching.switch("control", StartControl(controller="faulty"), "warm")
     assert switched.view.choice is not None
     assert switched.view.choice.names["controller"] == "faulty"
     gap = switched.change.gap
@@ -132,7 +138,7 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[C
     print(f"gap {gap.gap_s * 1e3:.0f} ms, difference {switched.change.difference:.2g}, call {switched.took_s:.1f} s")
     assert switched.change.difference < 0.005
     assert gap.gap_s < 0.25
-    back = loop.roll_back_control("warm", quiet)
+    back = switching.roll_back("control", "warm")
     assert back.view.choice is not None
     assert back.view.choice.names["controller"] == "gantry"
     witness.more_actions()
@@ -151,17 +157,18 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[C
     report = loop.supervisor.view("control").report
     assert report is not None
     assert report.dropped_by.get("holds", 0) == 0
-    cold = loop.switch_control("faulty", {}, "cold", quiet)
+    cold = switching.switch("control", StartControl(controller="faulty"), "cold")
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > gap.gap_s
 
 
-def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
-    loop, witness = cell
+def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+    switching, witness = cell
+    loop = switching.loop
     mode = tmp_path / "mode"
 
     def switch(on_stage: Callable[[str], None] = quiet, **options: object) -> Callable[[], object]:
-        return lambda: loop.switch_control("faulty", options, "warm", on_stage)
+        return lambda: switching.switch("control", StartControl(controller="faulty", options=options), "warm", on_stage)
 
     assert "TCP poses differ by 0.1 " in refused(loop, "control", RefusedError, switch(tool_m=0.1))
     text = refused(loop, "control", RefusedError, switch(offset=0.2))

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from rn_switching.replacing import Switching
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.selection import InferenceRequest
+from roboneuron.server.requests import StartInference
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Sent, Witness, moving_loop, quiet
 
 sys.path.pop(0)
@@ -36,9 +36,9 @@ def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:
     return [(a, b) for a, b in pairwise(actions) if a.tag != b.tag]
 
 
-def check_turns(loop: ClosedLoop, witness: Witness) -> None:
+def check_turns(switching: Switching, witness: Witness) -> None:
     for backend in ("second", "first"):
-        switched = loop.switch_inference(InferenceRequest(backend=backend), "warm", quiet)
+        switched = switching.switch("inference", StartInference(backend=backend), "warm", quiet)
         assert switched.view.choice is not None
         assert switched.view.choice.names["backend"] == backend
         assert switched.view.report is not None
@@ -57,51 +57,54 @@ def check_turns(loop: ClosedLoop, witness: Witness) -> None:
 
 
 def test_every_image_is_acted_on_once_while_backends_take_turns_at_30_hz(tmp_path: Path) -> None:
-    with moving_loop(tmp_path, 30.0) as (loop, witness):
-        check_turns(loop, witness)
+    with moving_loop(tmp_path, 30.0) as (switching, witness):
+        check_turns(switching, witness)
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop, Witness]]:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching, Witness]]:
     with moving_loop(tmp_path_factory.mktemp("loop"), 10.0) as made:
         yield made
 
 
 @pytest.fixture
-def cell(built: tuple[ClosedLoop, Witness]) -> tuple[ClosedLoop, Witness]:
+def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     """The loop of the module with the first backend at work; the witness has seen nothing yet."""
-    loop, witness = built
-    choice = loop.supervisor.view("inference").choice
+    switching, witness = built
+    choice = switching.loop.supervisor.view("inference").choice
     assert choice is not None
     assert choice.names["backend"] == "first"
     witness.forget()
     return built
 
 
-def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[ClosedLoop, Witness]) -> None:
+def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[Switching, Witness]) -> None:
     with pytest.raises(StateError, match="none was replaced"):
-        cell[0].roll_back_inference("warm", quiet)
+        cell[0].roll_back("inference", "warm")
 
 
-def test_every_image_is_acted_on_once_while_backends_take_turns_at_10_hz(cell: tuple[ClosedLoop, Witness]) -> None:
+def test_every_image_is_acted_on_once_while_backends_take_turns_at_10_hz(cell: tuple[Switching, Witness]) -> None:
     check_turns(*cell)
 
 
-def refused(loop: ClosedLoop, error: type[RoboNeuronError], on_stage: Callable[[str], None], **options: object) -> str:
+def refused(
+    switching: Switching, error: type[RoboNeuronError], on_stage: Callable[[str], None], **options: object
+) -> str:
     """Message of a warm switch to "second" that must fail and leave the present process at work."""
-    before = loop.supervisor.view("inference").process
+    before = switching.loop.supervisor.view("inference").process
     with pytest.raises(error) as caught:
-        loop.switch_inference(InferenceRequest(backend="second", options=options), "warm", on_stage)
-    after = loop.supervisor.view("inference")
+        switching.switch("inference", StartInference(backend="second", options=options), "warm", on_stage)
+    after = switching.loop.supervisor.view("inference")
     assert before is not None
     assert after.process is before
     assert after.phase == "running"
     return str(caught.value)
 
 
-def test_what_fails_before_its_turn_changes_nothing(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
-    loop, witness = cell
-    text = refused(loop, RefusedError, quiet, offset_m=0.5)
+def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+    switching, witness = cell
+    loop = switching.loop
+    text = refused(switching, RefusedError, quiet, offset_m=0.5)
     assert "differ by 0.5" in text
     assert "switch_max_difference" in text
 
@@ -111,15 +114,15 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[ClosedLoop, Witn
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 
-    assert "signal 9" in refused(loop, NotReadyError, kill_new)
+    assert "signal 9" in refused(switching, NotReadyError, kill_new)
 
     def cancel(stage: str) -> None:
         if stage == "new inference: configuring":
             loop.cancel("inference")
 
-    assert "cancelled" in refused(loop, StateError, cancel)
+    assert "cancelled" in refused(switching, StateError, cancel)
     (tmp_path / "fail").touch()
-    assert "fell over" in refused(loop, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail"))
+    assert "fell over" in refused(switching, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail"))
     actions = witness.more_actions()
     assert {action.tag for action in actions} == {1}
     times = [action.at_ns for action in actions]
@@ -127,25 +130,26 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[ClosedLoop, Witn
     assert loop.supervisor.beside("inference") == []
 
 
-def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[ClosedLoop, Witness], tmp_path: Path) -> None:
-    loop, witness = cell
+def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+    switching, witness = cell
     hang = tmp_path / "hang"
 
     def hang_new(stage: str) -> None:
         if stage == "inference: changing over":
             hang.touch()
 
-    assert "the old one acts again" in refused(loop, NotReadyError, hang_new, hang_file=str(hang))
+    assert "the old one acts again" in refused(switching, NotReadyError, hang_new, hang_file=str(hang))
     assert {action.tag for action in witness.more_actions()} == {1}
 
 
-def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[ClosedLoop, Witness]) -> None:
-    loop, witness = cell
+def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[Switching, Witness]) -> None:
+    switching, witness = cell
+    loop = switching.loop
     loop.set_instruction("move further", 5.0)
-    cold = loop.switch_inference(InferenceRequest(backend="second"), "cold", quiet)
+    cold = switching.switch("inference", StartInference(backend="second"), "cold", quiet)
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > 0.3
-    back = loop.roll_back_inference("warm", quiet)
+    back = switching.roll_back("inference", "warm")
     assert back.change.gap is not None
     assert back.change.gap.gap_s < min(0.3, cold.change.gap.gap_s)
     assert back.view.choice is not None

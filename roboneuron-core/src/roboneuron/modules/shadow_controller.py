@@ -1,7 +1,7 @@
-"""Control in shadow: it listens to its predecessor, answers the same actions, and tells how far the two lie apart.
+"""Comparison of a controller in shadow with its predecessor: both answer the same actions and joint states.
 
-What the predecessor sends is also the reference that the successor goes on from, so that the arm's commanded velocity
-does not jump when its turn comes.
+The predecessor's commands are also the reference from which the successor continues, so that the commanded velocity of
+the arm does not jump at the handover.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _STATE_STEP_S = 0.1
 """Time given to a JointState command, which carries none."""
 
 
-class Rehearsal:
+class ShadowController:
     """Subscribes beside the running control; everything happens on the executor's thread.
 
     The status tells `shadow_tcp_difference` (of the two TCP poses for one joint state [m or rad]), `shadow_count`
@@ -44,7 +44,7 @@ class Rehearsal:
 
     Args:
         forward: TCP pose of a joint state, by the controller in shadow.
-        on_command: told what the predecessor has sent, and when [monotonic s].
+        on_command: called with each command of the predecessor and the time at which it was sent [monotonic s].
     """
 
     def __init__(

@@ -1,0 +1,1 @@
+"""Warm switching of backends, camera sources and controllers, a feature of RoboNeuron."""

@@ -1,0 +1,160 @@
+"""Replacement of one module by another, warm or cold, and the way back."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rn_switching.switch_checks import CHECKS, SwitchCheck
+from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
+from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.compatibility import running_selection
+from roboneuron.server.loop import ClosedLoop, ignore_stage
+from roboneuron.server.module_kinds import KINDS
+from roboneuron.server.requests import StartInference, StartPerception
+from roboneuron.server.selection import Selection
+from roboneuron.server.tool import Arguments
+from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.view import ModuleView
+
+SwitchMode = Literal["warm", "cold"]
+_FIRST_S = 3.0
+"""A newcomer hears of the next input within this time, on a busy machine too."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Switched:
+    """A module that took the place of another.
+
+    Attributes:
+        view: the new one.
+        replaced: what was chosen for the old one.
+        change: what the change-over did to the stream of its outputs.
+        took_s: the whole call, loading included.
+    """
+
+    view: ModuleView
+    replaced: dict[str, str]
+    mode: SwitchMode
+    change: Change
+    took_s: float
+
+
+class Switching:
+    """Replaces modules and remembers what was there before; usable from any thread."""
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        self.loop = loop
+        self._supervisor = loop.supervisor
+        self._before: dict[ModuleKind, Selection] = {}
+
+    def switch(
+        self,
+        kind: ModuleKind,
+        request: Arguments,
+        mode: SwitchMode = "warm",
+        on_stage: Stage = ignore_stage,
+        role: str = "",
+    ) -> Switched:
+        """Replace the running module of a kind, on the same topics.
+
+        The instruction of a backend and the cameras of a source are kept unless the request names others. What can be
+        refused beforehand is refused while the old module works; a warm switch that fails at any time leaves it at
+        work.
+
+        Raises:
+            StateError: none is running.
+            RoboNeuronError: warm, nothing was replaced; cold, nothing of that kind runs any more.
+        """
+        old = self._supervisor.require_running(kind)
+        selection = self.loop.select(kind, _keep(old, request), role)
+        if kind == "control":
+            check_same_commands(old, selection)
+        return self._replace(old, selection, mode, on_stage)
+
+    def roll_back(self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = ignore_stage) -> Switched:
+        """Go back to what ran before the last switch; a backend keeps the present instruction.
+
+        Raises:
+            StateError: there was no switch.
+            RoboNeuronError: as `switch`.
+        """
+        old = self._supervisor.require_running(kind)
+        selection = self._before.get(kind)
+        if selection is None:
+            raise StateError(f"There is no {KINDS[kind].noun} to go back to: none was replaced yet.")
+        section = selection.config.inference
+        if kind == "inference" and section is not None and old.report is not None:
+            section = section.model_copy(update={"instruction": old.report.instruction})
+            selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
+        self.loop.check(selection)
+        return self._replace(old, selection, mode, on_stage)
+
+    def _replace(self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage) -> Switched:
+        started_s = time.monotonic()
+        replaced = running_selection(old)
+        check = CHECKS[old.kind](self.loop, selection)
+        if mode == "warm":
+            change = WarmSwitch(self._supervisor, selection, check, on_stage).run()
+        else:
+            change = self._cold(replaced, selection, check, on_stage)
+        self._before[old.kind] = replaced
+        return Switched(
+            view=self._supervisor.view(old.kind),
+            replaced=dict(replaced.names),
+            mode=mode,
+            change=change,
+            took_s=time.monotonic() - started_s,
+        )
+
+    def _cold(self, replaced: Selection, selection: Selection, check: SwitchCheck, on_stage: Stage) -> Change:
+        """Stop the old one, then start the new one: for a machine, or a device, that has no room for two."""
+        kind = check.kind
+        due = check.is_due()
+        on_stage(f"{kind}: stopping the old {check.noun}")
+        stopped = self._supervisor.stop(kind)
+        last = stopped.report if stopped is not None else None
+        try:
+            self.loop.start_selected(selection, on_stage)
+        except RoboNeuronError as error:
+            before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
+            error.hint = f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
+            raise
+        changes = self._supervisor.changes
+        if due:  # a start is complete before the first output where that waits for somebody else's
+            changes.wait_for(lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new), _FIRST_S)
+        gap = changes.wait_for(lambda: check.measure(last, self._newest(kind)), ARRIVAL_S)
+        return Change(gap=gap, difference=None)
+
+    def _newest(self, kind: ModuleKind) -> Report | None:
+        return self._supervisor.view(kind).report
+
+
+def check_same_commands(old: ModuleView, selection: Selection) -> None:
+    """Two controllers that publish on different topics cannot hand the arm over.
+
+    Raises:
+        InvalidInputError: the type of the command topic would change.
+    """
+    assert old.choice is not None
+    before, after = old.choice.settings.config.control, selection.config.control
+    if before is not None and after is not None and before.command != after.command:
+        raise InvalidInputError(
+            f"The running controller sends {before.command}, the new one would send {after.command}.",
+            hint="Call stop_control and start_control instead.",
+        )
+
+
+def _keep(old: ModuleView, request: Arguments) -> Arguments:
+    """The request, with what is kept from the running module where it names nothing else."""
+    assert old.choice is not None
+    if isinstance(request, StartInference) and request.instruction is None:
+        kept = old.report.instruction if old.report is not None else ""
+        return request.model_copy(update={"instruction": kept}) if kept else request
+    if isinstance(request, StartPerception) and not request.cameras:
+        section = old.choice.settings.config.perception
+        return request.model_copy(update={"cameras": list(section.cameras) if section is not None else []})
+    return request

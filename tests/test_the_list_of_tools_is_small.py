@@ -1,0 +1,45 @@
+"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that it shows."""
+
+from __future__ import annotations
+
+import anyio
+import jsonschema
+from mcp import Client, types
+
+from roboneuron.config import load_config
+from roboneuron.plugins.discovery import discover
+from roboneuron.server.app import Application
+
+MOST_BYTES = 40_000
+"""Of the default configuration with all packages of the project installed; it was 106 kB."""
+
+
+def test_the_list_of_tools_is_at_most_40_kb() -> None:
+    application = Application(load_config(registry=discover()))
+    try:
+        listing = types.ListToolsResult(tools=application.tools.listing())
+    finally:
+        application.close()
+    names = {tool.name for tool in listing.tools}
+    assert {"start_inference", "switch_inference", "publish_joint_trajectory", "move_ee", "get_status"} <= names
+    size = len(listing.model_dump_json(by_alias=True, exclude_none=True).encode())
+    assert size <= MOST_BYTES, f"tools/list is {size} bytes"
+
+
+def test_answers_fit_the_listed_schemas() -> None:
+    application = Application(load_config(registry=discover()))
+
+    async def ask() -> None:
+        async with Client(application.server) as client:
+            for tool in (await client.list_tools()).tools:
+                if tool.name in ("get_status", "list_robots", "list_backends", "stop_all"):
+                    answer = await client.call_tool(tool.name, {})
+                    assert answer.structured_content is not None, tool.name
+                    assert tool.output_schema is not None
+                    jsonschema.validate(answer.structured_content, tool.output_schema)
+                    assert answer.structured_content.keys() == tool.output_schema["properties"].keys()
+
+    try:
+        anyio.run(ask)
+    finally:
+        application.close()
