@@ -2,9 +2,9 @@
 
     python benchmarks/bench_round_trip.py --calls 300
 
-The client validates each answer against the listed output schema, as MCP 1.x clients do: it checks the schema
-and compiles a validator with every call. The minimal server answers one field and does nothing else, so the ratio is
-what RoboNeuron adds: checks of arguments, a status of four modules, and its larger answer.
+The client validates each answer against the listed output schema, as clients of the MCP 1.x SDK do: it checks the
+schema and compiles a validator with every call. The minimal server answers one field and does nothing else, so the
+ratio is what RoboNeuron adds: checks of arguments, a status of four modules, and its larger answer.
 """
 
 from __future__ import annotations
