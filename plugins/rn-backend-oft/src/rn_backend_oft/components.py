@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from roboneuron.contract.decoding import DecoderShape, Shard, Weight
+from rn_vla.decoding import DecoderShape, Shard, Weight
 from roboneuron.errors import CheckpointError
 
 _PREFIX = "module."

@@ -21,7 +21,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         requires=(
             Requirement(module="torch", install="pip install torch"),
             Requirement(module="tokenizers", install="pip install tokenizers"),
-            Requirement(module="rn_backend_openvla", install="pip install ./plugins/rn-backend-openvla"),
+            Requirement(module="rn_vla", install="pip install ./plugins/rn-vla"),
         ),
         cameras=cameras,
         needs_state=True,

@@ -12,7 +12,7 @@ from rn_backend_servo.phases import Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
-from roboneuron.contract import Acceleration, ActionChunk, Observation, Pose, Runtime
+from roboneuron.contract import ActionChunk, AnyAcceleration, AnyRuntime, Observation, Pose
 from roboneuron.errors import InvalidInputError, StateError, UngroundedError, UnsafeError
 
 
@@ -24,7 +24,10 @@ class ServoBackend:
     """
 
     def __init__(
-        self, config: ServoOptions | None, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+        self,
+        config: ServoOptions | None,
+        runtime: AnyRuntime | None = None,
+        acceleration: AnyAcceleration | None = None,
     ) -> None:
         self._options = config or ServoOptions()
         self._is_loaded = False

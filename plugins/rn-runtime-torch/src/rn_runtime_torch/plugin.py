@@ -10,7 +10,7 @@ from roboneuron.plugins.specs import Requirement, RuntimeSpec
 FAMILIES = ("openvla", "openvla-oft")
 """Model families whose requests it answers."""
 CAPABILITIES = ("token-decode", "bidirectional-hidden", "visual-token-pruning")
-"""Kinds of request (see `roboneuron.contract.decoding`) and hooks it has."""
+"""Kinds of request (see `rn_vla.decoding`) and hooks it has."""
 
 
 @hookimpl
