@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from roboneuron.config.section import Section
     from roboneuron.contract import (
         ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Acceleration, Action, ActionChunk, AnyAcceleration, AnyRuntime,
-        Backend, CameraCalibration, CameraProfile, Controller, Endpoint, Frame, GripperProfile, Hold, JointCommand,
-        JointLimits, JointSample, Observation, PerceptionSource, Pose, Posture, PostureInspector, RobotDriver,
-        RobotProfile, RobotState, Runtime, TWIST_FIELDS, Topics, Workspace, apply_delta, check_action_vector,
-        check_rgb8, check_twist, frame_from_buffer,
+        Backend, CameraCalibration, CameraProfile, CollisionProfile, Controller, Endpoint, Frame, GripperProfile, Hold,
+        JointCommand, JointLimits, JointSample, Observation, Obstacle, PerceptionSource, Pose, Posture,
+        PostureInspector, Proximity, RobotDriver, RobotProfile, RobotState, Runtime, TWIST_FIELDS, Topics, Workspace,
+        apply_delta, check_action_vector, check_rgb8, check_twist, frame_from_buffer,
     )
     from roboneuron.errors import (
         CheckpointError, ConfigurationError, InternalError, InvalidInputError, MissingDependencyError, NotReadyError,
@@ -42,10 +42,11 @@ _PLACES = {
     ),
     "roboneuron.contract": (
         "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
-        "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "Controller", "Endpoint", "Frame",
-        "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "PerceptionSource",
-        "Pose", "Posture", "PostureInspector", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS",
-        "Topics", "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+        "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
+        "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
+        "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",
+        "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector",
+        "check_rgb8", "check_twist", "frame_from_buffer",
     ),
     "roboneuron.errors": (
         "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
@@ -79,10 +80,11 @@ __all__ = [  # noqa: RUF022
     "__version__",
     "Section",
     "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
-    "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "Controller", "Endpoint", "Frame", "GripperProfile",
-    "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "PerceptionSource", "Pose", "Posture",
-    "PostureInspector", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace",
-    "apply_delta", "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+    "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
+    "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
+    "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile", "RobotState",
+    "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist",
+    "frame_from_buffer",
     "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
     "NotReadyError", "PlanningError", "PluginError", "RefusedError", "RoboNeuronError", "StateError",
     "UngroundedError", "UnsafeError",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rn_accel_fastv.plugin import roboneuron_accelerations
-from roboneuron.plugins.specs import AccelerationSpec
+from roboneuron import AccelerationSpec
 from roboneuron.testing import AccelerationCase
 
 

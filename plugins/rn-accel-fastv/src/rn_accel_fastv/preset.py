@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from rn_accel_fastv.config import FastVConfig, PresetConfig
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
     from rn_vla.decoding import LlamaAcceleration

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rn_vla.pruning import AttentionView
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 
 class AttendedTokens:

@@ -18,9 +18,16 @@ from rn_vla.openvla.policy import action_bins, prompt_encoder
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import PromptEncoder
 from rn_vla.openvla.statistics import DatasetStatistics, Scaling, choose_statistics
-from roboneuron.contract.action import ACTION_SIZE, ActionChunk
-from roboneuron.contract.observation import Observation
-from roboneuron.errors import ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ACTION_SIZE,
+    ActionChunk,
+    ConfigurationError,
+    Observation,
+    PluginError,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rn_vla.decoding import DecoderShape, Shard, Weight
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 _PREFIX = "module."
 """Left in the files by distributed training."""

@@ -16,9 +16,18 @@ from rn_vla.openvla.policy import action_bins, policy_model, prompt_encoder, tok
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import PromptEncoder
 from rn_vla.openvla.statistics import Scaling, choose_statistics
-from roboneuron.contract.action import ACTION_SIZE, ActionChunk
-from roboneuron.contract.observation import Observation, Pose
-from roboneuron.errors import CheckpointError, ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ACTION_SIZE,
+    ActionChunk,
+    CheckpointError,
+    ConfigurationError,
+    Observation,
+    PluginError,
+    Pose,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 F64 = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from rn_vla.checkpoint_files import (
     read_schema,
     reading,
 )
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 OPENPI_SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 """Camera slots of every openpi pi0. Source: openpi, models/model.py."""

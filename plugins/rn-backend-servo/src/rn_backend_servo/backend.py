@@ -12,8 +12,17 @@ from rn_backend_servo.phases import Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
-from roboneuron.contract import ActionChunk, AnyAcceleration, AnyRuntime, Observation, Pose
-from roboneuron.errors import InvalidInputError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ActionChunk,
+    AnyAcceleration,
+    AnyRuntime,
+    InvalidInputError,
+    Observation,
+    Pose,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 
 class ServoBackend:

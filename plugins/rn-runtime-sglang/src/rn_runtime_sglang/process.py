@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.served.versions import SUPPORTED, TESTED, is_supported
-from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import ConfigurationError, MissingDependencyError, NotReadyError
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 LAST_LINES = 15

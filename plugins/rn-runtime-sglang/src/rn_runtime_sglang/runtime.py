@@ -19,7 +19,7 @@ from rn_runtime_sglang.process import ManagedServer
 from rn_runtime_sglang.server import Server
 from rn_runtime_sglang.wire import encode_body
 from rn_vla.decoding import LlamaAcceleration, PolicyModel, TokenReply, TokenRequest, TokenRuntime
-from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, StateError
+from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, StateError
 
 log = logging.getLogger(__name__)
 _WARM_PROMPT_TOKENS = 16

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rn_vla.decoding import TokenRequest
-from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
+from roboneuron import InvalidInputError, NotReadyError, UnsafeError
 
 I64 = NDArray[np.int64]
 UNUSABLE_TOKEN = 0

@@ -14,7 +14,7 @@ from rn_runtime_torch.int8 import Int8Weight
 from rn_runtime_torch.scratch import Scratch
 from rn_vla.decoding import DecoderShape
 from rn_vla.pruning import AttentionView, TokenSelection
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 MATRICES = ("qkv", "out", "gate_up", "down")
 """Parameters of a layer that rows are multiplied with."""

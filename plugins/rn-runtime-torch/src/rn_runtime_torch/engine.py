@@ -30,7 +30,7 @@ from rn_vla.decoding import (
     TokenReply,
     TokenRequest,
 )
-from roboneuron.errors import ConfigurationError, InvalidInputError, UnsafeError
+from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Kind = tuple[str | int, ...]
 Check = Callable[[], None]

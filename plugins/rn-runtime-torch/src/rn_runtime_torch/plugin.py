@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import Requirement, RuntimeSpec
+from roboneuron import Requirement, RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla", "openvla-oft")
 """Model families whose requests it answers."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import FAMILIES
 from rn_vla.decoding import LlamaAcceleration, LlamaRuntime, PolicyModel, Reply, Request, RowsRequest, TokenRequest
-from roboneuron.errors import InvalidInputError, NotReadyError, StateError
+from roboneuron import InvalidInputError, NotReadyError, StateError
 
 if TYPE_CHECKING:
     from rn_runtime_torch.engine import Engine

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rn_vla.checkpoint_files import check_file, clip
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 _MAX_HEADER_BYTES = 16 * 2**20
 _MAX_RECORDS = 65_536

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_vla.pruning import PrunableDecoder
-from roboneuron.contract import Acceleration, Runtime
+from roboneuron import Acceleration, Runtime
 from roboneuron.contract.arrays import freeze
 
 F32 = NDArray[np.float32]

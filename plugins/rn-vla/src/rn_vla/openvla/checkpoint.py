@@ -16,7 +16,7 @@ from rn_vla.openvla.layout import TowerShape, VisionShape, expected_weights
 from rn_vla.openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
 from rn_vla.openvla.preprocessing import TowerPixels
 from rn_vla.openvla.statistics import DatasetStatistics, Key
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 _DINO = TowerShape(width=1024, depth=24, heads=16, intermediate=4096, prefix_tokens=5, layer_scale=True, pooled=False)
 _SIGLIP = TowerShape(width=1152, depth=27, heads=16, intermediate=4304, prefix_tokens=0, layer_scale=False, pooled=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from roboneuron.errors import RoboNeuronError
+from roboneuron import RoboNeuronError
 
 
 class MakeTiny(Protocol):

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_vla.openvla.preprocessing import ImageStep
 from rn_vla.openvla.profiles import PROFILES, ActionProfile, GripperSign, RotationUnit
-from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
+from roboneuron import AgentMaySet, ConfigurationOnly
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

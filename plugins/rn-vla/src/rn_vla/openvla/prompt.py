@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tokenizers import Tokenizer
 
 from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 I64 = NDArray[np.int64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_vla.checkpoint_files import clip, list_names
-from roboneuron.errors import CheckpointError, ConfigurationError
+from roboneuron import CheckpointError, ConfigurationError
 
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]

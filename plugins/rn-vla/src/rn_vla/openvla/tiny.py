@@ -14,7 +14,7 @@ import numpy as np
 from rn_vla.decoding import Weight
 from rn_vla.openvla.checkpoint import Checkpoint
 from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 VOCABULARY = 32064
 _PADDED_FROM = 32000

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
 
+import roboneuron
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.markers import PROJECT
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
@@ -105,8 +106,8 @@ def _check_direction(case: PackageCase) -> None:
     for path in source_files(case):
         for name, line in imported_modules(path):
             top, _, inner = name.partition(".")
-            public = top != PROJECT or inner.partition(".")[0] in ("", *PUBLIC)
-            require(public, f"{path.name}:{line} imports {name}; plugins import {', '.join(PUBLIC)}")
+            public = top != PROJECT or inner.partition(".")[0] in ("", *PUBLIC, *roboneuron.__all__)
+            require(public, f"{path.name}:{line} imports {name}; plugins import its public API and {', '.join(PUBLIC)}")
 
 
 def _check_siblings(case: PackageCase) -> None:
@@ -227,7 +228,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/import-direction",
-        text=f"Of the core it imports {', '.join(PUBLIC)}, no other package.",
+        text=f"Of the core it imports the public API and {', '.join(PUBLIC)}, no other package.",
         source=_SOURCE,
         check=_check_direction,
     ),
