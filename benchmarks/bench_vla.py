@@ -38,18 +38,18 @@ from rn_accel_fastv.preset import FastV
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_openvla.backend import OpenVlaBackend
-from rn_backend_openvla.checkpoint import BACKBONES, Checkpoint
 from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.layout import TowerShape, VisionShape
 from rn_backend_openvla.plugin import roboneuron_backends
-from rn_backend_openvla.policy import policy_model
-from rn_backend_openvla.preprocessing import TowerPixels
-from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.engine import Engine, release_memory
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
+from rn_vla.openvla.checkpoint import BACKBONES, Checkpoint
+from rn_vla.openvla.layout import TowerShape, VisionShape
+from rn_vla.openvla.policy import policy_model
+from rn_vla.openvla.preprocessing import TowerPixels
+from rn_vla.openvla.tiny import make_tiny
 from roboneuron.contract import Frame
-from roboneuron.contract.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
 from roboneuron.testing.fakes import make_observation
 
 PROMPT_TOKENS = 24
@@ -301,7 +301,7 @@ def answer(engine: Engine, request: Request) -> tuple[Tensor, int]:
     """Our tokens or actions, and the visual tokens that were kept."""
     reply = engine.answer(request, lambda: None)
     values = reply.values if isinstance(reply, RowsReply) else reply.tokens
-    return torch.from_numpy(values), round(reply.metrics["tokens_kept"])
+    return torch.tensor(values), round(reply.metrics["tokens_kept"])
 
 
 def row(name: str, preset: str, kept: int, took_ms: float, over_eager: str, over_plain: str, bound_ms: float) -> None:

@@ -122,16 +122,37 @@ def _is_public(name: str, allowed: set[str]) -> bool:
 
 def test_plugins_import_only_what_is_public_of_the_core():
     breaches = []
-    for plugin in sorted(PLUGINS.glob("*/src/*/plugin.py")):
-        extends_the_server = any(word in plugin.read_text(encoding="utf-8") for word in ("FeatureSpec", "CommandSpec"))
+    for package in sorted(path.parent for path in PLUGINS.glob("*/src/*/__init__.py")):
+        plugin = package / "plugin.py"  # a library has none
+        offers = plugin.read_text(encoding="utf-8") if plugin.exists() else ""
+        extends_the_server = any(word in offers for word in ("FeatureSpec", "CommandSpec"))
         allowed = FOR_PLUGINS | (FOR_FEATURES if extends_the_server else set())
         breaches += [
             f"{path.relative_to(PLUGINS)}:{line} imports {name}"
-            for path in sorted(plugin.parent.rglob("*.py"))
+            for path in sorted(package.rglob("*.py"))
             for name, line in _imports(path)
             if name.startswith("roboneuron.") and not _is_public(name, allowed)
         ]
     assert breaches == []
+
+
+def test_device_and_model_plugins_take_public_names_from_the_public_api():
+    """`from roboneuron import Frame`, so that a module of the core can be moved without breaking a plugin."""
+    roundabout = []
+    for package in sorted(path.parent for path in PLUGINS.glob("*/src/*/__init__.py")):
+        plugin = package / "plugin.py"
+        offers = plugin.read_text(encoding="utf-8") if plugin.exists() else ""
+        if "FeatureSpec" in offers or "CommandSpec" in offers:
+            continue
+        roundabout += [
+            f"{path.relative_to(PLUGINS)}:{node.lineno} imports {alias.name} from {node.module}"
+            for path in sorted(package.rglob("*.py"))
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("roboneuron.")
+            for alias in node.names
+            if alias.name in roboneuron.__all__ and alias.asname is None
+        ]
+    assert roundabout == []
 
 
 def _at_import_time(path: Path) -> Iterator[str]:

@@ -63,7 +63,7 @@ def test_the_table_knows_what_each_package_needs() -> None:
         (
             "backend",
             "openvla",
-            r"brings it\. Run: pip install \./plugins/rn-backend-openvla \./plugins/rn-runtime-torch \(in",
+            r"brings it\. Run: pip install (\./plugins/rn-(backend-openvla|runtime-torch|vla) ){3}\(in",
         ),
         ("backend", "pi0-remote", r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[remote\]"'),
     ],

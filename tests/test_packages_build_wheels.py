@@ -21,9 +21,16 @@ PROBE = """
 import json, sys, importlib
 from roboneuron.plugins.discovery import discover
 registry = discover()
-record = next((p for p in registry.plugins if p.distribution == sys.argv[1]), None)
+record = next(p for p in registry.plugins if p.distribution == sys.argv[1])
 module = importlib.import_module(record.module)
 print(json.dumps([record.status, record.reason, module.__file__]))
+"""
+PROBE_OF_A_LIBRARY = """
+import json, sys, importlib, pkgutil
+package = importlib.import_module(sys.argv[1].replace("-", "_"))
+names = [m.name for m in pkgutil.walk_packages(package.__path__, package.__name__ + ".")]
+files = {importlib.import_module(name).__file__ for name in names}
+print(json.dumps(["ready", f"{len(files)} modules", package.__file__]))
 """
 
 
@@ -78,8 +85,10 @@ def test_a_plugin_works_from_its_wheel(wheel, tmp_path):
     if package.name == "roboneuron-core":
         pytest.skip("core is no plugin")
     zipfile.ZipFile(built).extractall(tmp_path)
+    offers = tomllib.loads((package / "pyproject.toml").read_text())["project"].get("entry-points", {})
+    probe = PROBE if "roboneuron" in offers else PROBE_OF_A_LIBRARY
     done = subprocess.run(
-        [sys.executable, "-c", PROBE, package.name],
+        [sys.executable, "-c", probe, package.name],
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,

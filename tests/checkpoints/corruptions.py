@@ -41,7 +41,7 @@ def make(layout: str, directory: Path) -> None:
 
         make_tiny_oft(directory)
     else:
-        from rn_backend_openvla.tiny import make_tiny
+        from rn_vla.openvla.tiny import make_tiny
 
         make_tiny(directory)
 

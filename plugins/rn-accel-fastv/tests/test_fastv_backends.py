@@ -19,10 +19,10 @@ from rn_backend_oft.tiny import make_tiny_oft
 from rn_backend_openvla.backend import OpenVlaBackend
 from rn_backend_openvla.config import OpenVlaConfig
 from rn_backend_openvla.plugin import roboneuron_backends as openvla_backends
-from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import roboneuron_runtimes
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
 from roboneuron.planning import check_plan
 from roboneuron.plugins.record import Offer, Status

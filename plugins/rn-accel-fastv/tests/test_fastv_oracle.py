@@ -9,7 +9,7 @@ from rn_accel_fastv.config import FastVConfig
 from rn_accel_fastv.preset import FastV
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.decoder import Decoder
-from roboneuron.contract.decoding import DecoderShape
+from rn_vla.decoding import DecoderShape
 from roboneuron.errors import ConfigurationError
 
 VISUAL, TEXT = 24, 9

@@ -9,9 +9,9 @@ import torch
 
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.policy import OftPolicy
-from rn_backend_openvla.checkpoint import Checkpoint
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.openvla.checkpoint import Checkpoint
 
 DATA = Path(__file__).parent / "data"
 

@@ -13,11 +13,11 @@ from rn_backend_oft.cli import main
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.state import read_state
 from rn_backend_oft.tiny import make_tiny_oft
-from rn_backend_openvla.tiny import write_tokenizer
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.decoding import RowsReply
+from rn_vla.openvla.tiny import write_tokenizer
 from roboneuron.contract import Frame, Observation, Pose
-from roboneuron.contract.decoding import RowsReply
 from roboneuron.contract.rotation import matrix_from_rotvec, matrix_from_rpy, quaternion_from_matrix
 from roboneuron.errors import CheckpointError, ConfigurationError, UngroundedError, UnsafeError
 

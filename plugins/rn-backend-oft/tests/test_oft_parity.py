@@ -9,12 +9,12 @@ import torch
 from safetensors import safe_open
 
 from rn_backend_oft.constants import CONSTANTS
-from rn_backend_openvla.policy import action_bins
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import end_prompt
-from rn_backend_openvla.statistics import Scaling, choose_statistics
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.openvla.policy import action_bins
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import end_prompt
+from rn_vla.openvla.statistics import Scaling, choose_statistics
 
 EPSILON = 1e-8
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import policy_model
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import policy_model
 
 DATA = Path(__file__).parent / "data"
 

@@ -11,11 +11,11 @@ import torch
 
 from rn_backend_openvla.backend import OpenVlaBackend, OpenVlaTcpBackend
 from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.decoding import TokenReply
+from rn_vla.openvla.tiny import make_tiny
 from roboneuron.contract import Frame, Observation, Pose
-from roboneuron.contract.decoding import TokenReply
 from roboneuron.errors import ConfigurationError, NotReadyError, UngroundedError, UnsafeError
 
 OWN = {

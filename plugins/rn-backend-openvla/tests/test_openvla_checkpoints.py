@@ -10,15 +10,15 @@ from safetensors.torch import load_file, save_file
 from tokenizers import Tokenizer
 
 from rn_backend_openvla.backend import OpenVlaBackend
-from rn_backend_openvla.checkpoint import BACKBONES, Checkpoint
 from rn_backend_openvla.cli import main
 from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.layout import VisionShape, expected_weights
-from rn_backend_openvla.prompt import PromptEncoder, end_prompt
-from rn_backend_openvla.tiny import make_tiny, write_tokenizer
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from roboneuron.contract.decoding import DecoderShape
+from rn_vla.decoding import DecoderShape
+from rn_vla.openvla.checkpoint import BACKBONES, Checkpoint
+from rn_vla.openvla.layout import VisionShape, expected_weights
+from rn_vla.openvla.prompt import PromptEncoder, end_prompt
+from rn_vla.openvla.tiny import make_tiny, write_tokenizer
 from roboneuron.errors import CheckpointError, ConfigurationError
 
 

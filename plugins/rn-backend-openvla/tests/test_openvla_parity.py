@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rn_backend_openvla.policy import action_bins, policy_model, token_request
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import end_prompt
-from rn_backend_openvla.statistics import Scaling, choose_statistics
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_vla.openvla.policy import action_bins, policy_model, token_request
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import end_prompt
+from rn_vla.openvla.statistics import Scaling, choose_statistics
 
 LOGIT_TOLERANCE = 1e-4
 """Fused projections and SDPA sum in another order; 4e-6 was seen."""

@@ -65,7 +65,7 @@ def test_the_normalised_state_is_that_of_the_code_that_is_followed(model: Pi0Mod
 def test_both_layouts_hold_the_same_statistics(golden_directory: Path, tmp_path: Path) -> None:
     from rn_backend_pi0.documents import NormStatsDocument
     from rn_backend_pi0.layouts import _openpi_statistics
-    from roboneuron.plugins.checkpoint_files import read_schema
+    from rn_vla.checkpoint_files import read_schema
 
     theirs = _openpi_statistics(read_schema(golden_directory / "norm_stats.json", NormStatsDocument).norm_stats.state)
     ours = read_checkpoint(golden_directory).state

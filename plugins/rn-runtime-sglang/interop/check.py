@@ -26,17 +26,17 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import policy_model, prompt_encoder, token_request
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import end_prompt
-from rn_backend_openvla.tiny import make_tiny, write_tokenizer
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.process import ManagedServer
 from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from roboneuron.contract.decoding import PolicyModel, TokenRequest
+from rn_vla.decoding import PolicyModel, TokenRequest
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import policy_model, prompt_encoder, token_request
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import end_prompt
+from rn_vla.openvla.tiny import make_tiny, write_tokenizer
 from roboneuron.errors import CheckpointError, NotReadyError
 
 SEED = 3
@@ -83,7 +83,7 @@ def picture(generator: np.random.Generator, size: tuple[int, int]) -> np.ndarray
 
 def print_versions(python: Path) -> None:
     """What took part."""
-    names = ("sglang", "torch", "transformers", "rn-runtime-sglang", "rn-backend-openvla")
+    names = ("sglang", "torch", "transformers", "rn-runtime-sglang", "rn-vla")
     done = subprocess.run([python, "-c", _VERSIONS % (names,)], capture_output=True, check=True)
     ours = {name: importlib.metadata.version(name) for name in ("torch", "rn-runtime-torch", "roboneuron-core")}
     print(f"server:  {json.loads(done.stdout)}")

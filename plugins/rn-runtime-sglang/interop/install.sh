@@ -28,5 +28,5 @@ else
 fi
 pip hatchling editables
 pip --no-deps --no-build-isolation \
-  --editable "$root/roboneuron-core" --editable "$root/plugins/rn-backend-openvla" --editable "$root/plugins/rn-runtime-sglang"
+  --editable "$root/roboneuron-core" --editable "$root/plugins/rn-vla" --editable "$root/plugins/rn-runtime-sglang"
 "$venv/bin/python" -c 'import importlib.metadata as m; print("installed: SGLang", m.version("sglang"))'

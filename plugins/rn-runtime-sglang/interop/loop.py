@@ -24,9 +24,9 @@ import psutil
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-from rn_backend_openvla.tiny import STATISTICS_KEY, make_tiny
 from rn_demo.agent import Agent, module_status
 from rn_runtime_sglang.standin.site import write_site
+from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny
 from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.testing.domain import free_ros_domain

@@ -12,7 +12,7 @@ from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_sglang.served.fingerprint import served_name
 from rn_runtime_sglang.standin.replies import Behaviour
 from rn_runtime_sglang.standin.server import StandIn
-from roboneuron.contract.decoding import PolicyModel
+from rn_vla.decoding import PolicyModel
 
 FAST: dict[str, Any] = {"poll_s": 0.05, "start_timeout_s": 10.0}
 

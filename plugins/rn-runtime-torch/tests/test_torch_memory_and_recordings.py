@@ -162,7 +162,7 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
 
 def test_the_fake_selection_makes_its_positions_on_the_device(toy):
     """A list of the host inside a recording is what CUDA refuses; tensors on "meta" refuse it likewise."""
-    from rn_runtime_torch.pruning import AttentionView
+    from rn_vla.pruning import AttentionView
 
     key = torch.empty(1, 2, 30, 8, device="meta")
     view = AttentionView(query=key, key=key, visual_start=1, visual_count=16, rows=None, causal=True)

@@ -14,15 +14,15 @@ from rn_accel_fastv.preset import FastV
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.tiny import make_tiny_oft
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import policy_model
-from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.engine import Engine
 from rn_runtime_torch.memory import PeakBytes
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_runtime_torch.toy import EveryOtherToken
-from roboneuron.contract.decoding import PolicyModel, Request, RowsReply
+from rn_vla.decoding import PolicyModel, Request, RowsReply
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import policy_model
+from rn_vla.openvla.tiny import make_tiny
 
 pytestmark = [
     pytest.mark.gpu,

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_runtime_torch.state_dictionary import read_header
 from rn_runtime_torch.toy import ToyPolicy
-from roboneuron.contract.decoding import Shard, Weight
+from rn_vla.decoding import Shard, Weight
 from roboneuron.errors import CheckpointError
 
 NORM = "language_model.model.norm.weight"

@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from roboneuron.config.section import Section
     from roboneuron.contract import (
-        ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Acceleration, Action, ActionChunk, Backend, CameraCalibration,
-        CameraProfile, Controller, Endpoint, Frame, GripperProfile, Hold, JointCommand, JointLimits, JointSample,
-        Observation, PerceptionSource, Pose, Posture, PostureInspector, RobotDriver, RobotProfile, RobotState,
-        Runtime, TWIST_FIELDS, Topics, Workspace, apply_delta, check_action_vector, check_rgb8, check_twist,
-        frame_from_buffer,
+        ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Acceleration, Action, ActionChunk, AnyAcceleration, AnyRuntime,
+        Backend, CameraCalibration, CameraProfile, CollisionProfile, Controller, Endpoint, Frame, GripperProfile, Hold,
+        JointCommand, JointLimits, JointSample, Observation, Obstacle, PerceptionSource, Pose, Posture,
+        PostureInspector, Proximity, RobotDriver, RobotProfile, RobotState, Runtime, TWIST_FIELDS, Topics, Workspace,
+        apply_delta, check_action_vector, check_rgb8, check_twist, frame_from_buffer,
     )
     from roboneuron.errors import (
         CheckpointError, ConfigurationError, InternalError, InvalidInputError, MissingDependencyError, NotReadyError,
         PlanningError, PluginError, RefusedError, RoboNeuronError, StateError, UngroundedError, UnsafeError,
     )
     from roboneuron.plugins.markers import hookimpl, hookspec
+    from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
     from roboneuron.plugins.specs import (
         AccelerationSpec, ActionSpace, BackendSpec, CONTRACT_VERSION, CameraSpec, CommandSpec, ControllerSpec,
         DriverSpec, FeatureSpec, PerceptionSpec, Requirement, RobotSpec, RuntimeSpec, Spec,
@@ -40,11 +41,12 @@ _PLACES = {
         "Section",
     ),
     "roboneuron.contract": (
-        "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "Backend",
-        "CameraCalibration", "CameraProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold",
-        "JointCommand", "JointLimits", "JointSample", "Observation", "PerceptionSource", "Pose", "Posture",
-        "PostureInspector", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS", "Topics",
-        "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+        "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
+        "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
+        "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
+        "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",
+        "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector",
+        "check_rgb8", "check_twist", "frame_from_buffer",
     ),
     "roboneuron.errors": (
         "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
@@ -53,6 +55,9 @@ _PLACES = {
     ),
     "roboneuron.plugins.markers": (
         "hookimpl", "hookspec",
+    ),
+    "roboneuron.plugins.restricted": (
+        "AgentMaySet", "ConfigurationOnly",
     ),
     "roboneuron.plugins.specs": (
         "AccelerationSpec", "ActionSpace", "BackendSpec", "CONTRACT_VERSION", "CameraSpec", "CommandSpec",
@@ -74,15 +79,17 @@ _PLACES = {
 __all__ = [  # noqa: RUF022
     "__version__",
     "Section",
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "Backend",
-    "CameraCalibration", "CameraProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand",
-    "JointLimits", "JointSample", "Observation", "PerceptionSource", "Pose", "Posture", "PostureInspector",
-    "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta",
-    "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
+    "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
+    "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
+    "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile", "RobotState",
+    "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist",
+    "frame_from_buffer",
     "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
     "NotReadyError", "PlanningError", "PluginError", "RefusedError", "RoboNeuronError", "StateError",
     "UngroundedError", "UnsafeError",
     "hookimpl", "hookspec",
+    "AgentMaySet", "ConfigurationOnly",
     "AccelerationSpec", "ActionSpace", "BackendSpec", "CONTRACT_VERSION", "CameraSpec", "CommandSpec",
     "ControllerSpec", "DriverSpec", "FeatureSpec", "PerceptionSpec", "Requirement", "RobotSpec", "RuntimeSpec",
     "Spec",

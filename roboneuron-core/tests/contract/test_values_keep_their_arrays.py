@@ -23,7 +23,6 @@ from roboneuron.contract import (
     RobotState,
     Workspace,
 )
-from roboneuron.contract.decoding import RowsReply, TokenReply
 
 Arrays = dict[str, np.ndarray]
 
@@ -43,11 +42,6 @@ MADE: dict[str, tuple[Arrays, Callable[[Arrays], Any]]] = {
     "JointLimits": ({f.name: np.ones(2) for f in fields(JointLimits)}, lambda a: JointLimits(**a)),
     "Workspace": ({"lower_m": np.zeros(3), "upper_m": np.ones(3)}, lambda a: Workspace(**a)),
     "RobotProfile": ({"home_rad": np.zeros(2)}, lambda a: RobotProfile(name="r", **a)),
-    "TokenReply": (
-        {"tokens": np.zeros(3, dtype=np.int64), "logits": np.zeros(4, dtype=np.float32)},
-        lambda a: TokenReply(**a),
-    ),
-    "RowsReply": ({"values": np.zeros((2, 3), dtype=np.float32)}, lambda a: RowsReply(**a)),
 }
 
 

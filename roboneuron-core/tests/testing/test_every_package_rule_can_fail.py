@@ -182,6 +182,12 @@ def test_every_package_rule_has_a_package_that_breaks_it():
     assert {rule for rule, _ in BROKEN.values()} == {rule.id for rule in RULES["package"]}
 
 
+def test_a_package_may_import_the_public_api(sample):
+    (sample.package / "policy.py").write_text("from roboneuron import BackendSpec, Frame, StateError\n")
+    rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
+    assert verify(rule, sample.case()).verdict is Verdict.PASSED
+
+
 def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample):
     hosted = sample.package / "served"
     hosted.mkdir()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rn_accel_fastv.plugin import roboneuron_accelerations
-from roboneuron.plugins.specs import AccelerationSpec
+from roboneuron import AccelerationSpec
 from roboneuron.testing import AccelerationCase
 
 
@@ -30,7 +30,7 @@ def free_case() -> AccelerationCase:
 def _case(spec: AccelerationSpec, options: dict[str, object]) -> AccelerationCase:
     def decoder() -> object:
         from rn_runtime_torch.decoder import Decoder  # heavy: torch
-        from roboneuron.contract.decoding import DecoderShape
+        from rn_vla.decoding import DecoderShape
 
         shape = DecoderShape(
             hidden=8,

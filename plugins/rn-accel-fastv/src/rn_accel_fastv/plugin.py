@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import AccelerationSpec, Requirement
+from roboneuron import AccelerationSpec, Requirement, hookimpl
 
 FAMILIES = ("openvla", "openvla-oft")
 """Model families whose visual tokens stand in one span behind the first token."""

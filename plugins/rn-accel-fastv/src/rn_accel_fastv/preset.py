@@ -1,14 +1,15 @@
-"""The presets; they follow `roboneuron.contract.Acceleration`."""
+"""The presets; they follow `rn_vla.decoding.LlamaAcceleration`."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
 from rn_accel_fastv.config import FastVConfig, PresetConfig
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
-    from rn_runtime_torch.pruning import PrunableDecoder
+    from rn_vla.decoding import LlamaAcceleration
+    from rn_vla.pruning import PrunableDecoder
 
 
 class _Preset:
@@ -62,3 +63,7 @@ class FastVP75(_Named):
     """Three quarters are dropped."""
 
     share: ClassVar[float] = 0.75
+
+
+if TYPE_CHECKING:
+    _: type[LlamaAcceleration] = FastVP50

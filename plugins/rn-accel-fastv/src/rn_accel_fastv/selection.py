@@ -7,8 +7,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from rn_runtime_torch.pruning import AttentionView
-from roboneuron.errors import ConfigurationError
+from rn_vla.pruning import AttentionView
+from roboneuron import ConfigurationError
 
 
 class AttendedTokens:

@@ -1,1 +1,1 @@
-"""OpenVLA-OFT behind the fixed action contract; builds on the public modules of rn-backend-openvla."""
+"""OpenVLA-OFT behind the fixed action contract; builds on `rn_vla.openvla`."""

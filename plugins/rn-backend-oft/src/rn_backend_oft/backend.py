@@ -11,17 +11,23 @@ from numpy.typing import NDArray
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
-from rn_backend_openvla.bins import ActionBins, OutsideCounter
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import action_bins, prompt_encoder
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import PromptEncoder
-from rn_backend_openvla.statistics import DatasetStatistics, Scaling, choose_statistics
-from roboneuron.contract.action import ACTION_SIZE, ActionChunk
-from roboneuron.contract.decoding import RowsReply
-from roboneuron.contract.observation import Observation
-from roboneuron.contract.protocols import Acceleration, Runtime
-from roboneuron.errors import ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+from rn_vla.decoding import LlamaAcceleration, RowsReply, RowsRuntime
+from rn_vla.openvla.bins import ActionBins, OutsideCounter
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import action_bins, prompt_encoder
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import PromptEncoder
+from rn_vla.openvla.statistics import DatasetStatistics, Scaling, choose_statistics
+from roboneuron import (
+    ACTION_SIZE,
+    ActionChunk,
+    ConfigurationError,
+    Observation,
+    PluginError,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -37,7 +43,7 @@ class OftBackend:
     """Roles in the order of the model's images."""
 
     def __init__(
-        self, config: OftConfig, *, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+        self, config: OftConfig, *, runtime: RowsRuntime | None = None, acceleration: LlamaAcceleration | None = None
     ) -> None:
         self._config = config
         self._profile = config.action_profile()

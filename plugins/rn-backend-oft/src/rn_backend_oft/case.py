@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from rn_backend_oft.plugin import roboneuron_backends
-from roboneuron.plugins.specs import BackendSpec
+from roboneuron import BackendSpec
 from roboneuron.testing import BackendCase
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from roboneuron.contract.decoding import DecoderShape, Shard, Weight
-from roboneuron.errors import CheckpointError
+from rn_vla.decoding import DecoderShape, Shard, Weight
+from roboneuron import CheckpointError
 
 _PREFIX = "module."
 """Left in the files by distributed training."""

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_oft.constants import CONSTANTS, Constants, StateLayout
 from rn_backend_oft.plugin import MAX_CHUNK
-from rn_backend_openvla.config import ModelOptions
-from rn_backend_openvla.statistics import Bounds
+from rn_vla.openvla.options import ModelOptions
+from rn_vla.openvla.statistics import Bounds
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-from rn_backend_openvla.statistics import Bounds
+from rn_vla.openvla.statistics import Bounds
 
 StateLayout = Literal["xyz_rotvec_fingers", "xyz_rpy_opening", "joints"]
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from rn_backend_openvla.front import OpenVlaFront, Projector
-from rn_backend_openvla.layout import VisionShape
+from rn_vla.openvla.front import OpenVlaFront, Projector
+from rn_vla.openvla.layout import VisionShape
 
 
 class OftFront(OpenVlaFront):

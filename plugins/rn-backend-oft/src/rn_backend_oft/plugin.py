@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
+from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 
 MAX_CHUNK = 25
 """Most actions that one inference may yield."""
@@ -21,7 +20,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         requires=(
             Requirement(module="torch", install="pip install torch"),
             Requirement(module="tokenizers", install="pip install tokenizers"),
-            Requirement(module="rn_backend_openvla", install="pip install ./plugins/rn-backend-openvla"),
+            Requirement(module="rn_vla", install="pip install ./plugins/rn-vla"),
         ),
         cameras=cameras,
         needs_state=True,

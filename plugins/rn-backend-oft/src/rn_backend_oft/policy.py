@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from rn_backend_oft.components import check_components, find_component, head_shard, proprio_shard
 from rn_backend_oft.constants import Constants
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.policy import example_ids
-from roboneuron.contract.decoding import PolicyModel, Prompt, RowsRequest
+from rn_vla.decoding import PolicyModel, Prompt, RowsRequest
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import example_ids
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

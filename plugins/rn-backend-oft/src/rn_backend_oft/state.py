@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.constants import StateLayout
-from roboneuron.contract.observation import Observation
+from roboneuron import ConfigurationError, Observation, UngroundedError
 from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_by_down, rpy_by_down
-from roboneuron.errors import ConfigurationError, UngroundedError
 
 F64 = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from rn_backend_oft.components import head_shard, proprio_shard
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.state import state_width
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_statistics
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_statistics
 
 
 def make_tiny_oft(path: Path, *, seed: int = 0) -> None:

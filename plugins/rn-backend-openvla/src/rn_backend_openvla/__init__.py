@@ -1,5 +1,1 @@
-"""OpenVLA behind the fixed action contract.
-
-Public for other packages of the family: `checkpoint`, `layout`, `vision`, `front`, `preprocessing`, `prompt`,
-`statistics`, `profiles`, `bins`, `policy` and `tiny`.
-"""
+"""OpenVLA behind the fixed action contract; network, files and conversions are those of `rn_vla.openvla`."""

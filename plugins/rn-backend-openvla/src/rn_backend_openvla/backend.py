@@ -8,18 +8,26 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_openvla.bins import ActionBins, OutsideCounter
-from rn_backend_openvla.checkpoint import Checkpoint
 from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.policy import action_bins, policy_model, prompt_encoder, token_request
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import PromptEncoder
-from rn_backend_openvla.statistics import Scaling, choose_statistics
-from roboneuron.contract.action import ACTION_SIZE, ActionChunk
-from roboneuron.contract.decoding import TokenReply
-from roboneuron.contract.observation import Observation, Pose
-from roboneuron.contract.protocols import Acceleration, Runtime
-from roboneuron.errors import CheckpointError, ConfigurationError, PluginError, StateError, UngroundedError, UnsafeError
+from rn_vla.decoding import LlamaAcceleration, TokenReply, TokenRuntime
+from rn_vla.openvla.bins import ActionBins, OutsideCounter
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.policy import action_bins, policy_model, prompt_encoder, token_request
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import PromptEncoder
+from rn_vla.openvla.statistics import Scaling, choose_statistics
+from roboneuron import (
+    ACTION_SIZE,
+    ActionChunk,
+    CheckpointError,
+    ConfigurationError,
+    Observation,
+    PluginError,
+    Pose,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 F64 = NDArray[np.float64]
 
@@ -34,7 +42,11 @@ class OpenVlaBackend:
     """Frame of the profiles it takes: without the TCP pose only base-frame actions can be converted."""
 
     def __init__(
-        self, config: OpenVlaConfig, *, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+        self,
+        config: OpenVlaConfig,
+        *,
+        runtime: TokenRuntime | None = None,
+        acceleration: LlamaAcceleration | None = None,
     ) -> None:
         self._config = config
         self._profile = config.action_profile()

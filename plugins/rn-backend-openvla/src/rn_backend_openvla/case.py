@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from rn_backend_openvla.plugin import roboneuron_backends
-from roboneuron.plugins.specs import BackendSpec
+from roboneuron import BackendSpec
 from roboneuron.testing import BackendCase
 
 
@@ -43,7 +43,7 @@ def _case(spec: BackendSpec, options: dict[str, object]) -> BackendCase:
 
 @functools.cache
 def _checkpoint() -> Path:
-    from rn_backend_openvla.tiny import make_tiny
+    from rn_vla.openvla.tiny import make_tiny
 
     held = tempfile.TemporaryDirectory(prefix="rn-backend-openvla-")
     atexit.register(held.cleanup)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import ActionSpace, BackendSpec, Requirement
+from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 
 _REQUIRES = (
     Requirement(module="torch", install="pip install torch"),

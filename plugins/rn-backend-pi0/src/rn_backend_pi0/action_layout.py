@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from roboneuron.contract import ACTION_SIZE, Pose
+from roboneuron import ACTION_SIZE, ConfigurationError, Pose, UngroundedError, UnsafeError
 from roboneuron.contract.rotation import (
     F64,
     matrix_from_quaternion,
@@ -16,7 +16,6 @@ from roboneuron.contract.rotation import (
     rotvec_from_matrix,
     rpy_from_matrix,
 )
-from roboneuron.errors import ConfigurationError, UngroundedError, UnsafeError
 
 Meaning = Literal["delta", "absolute"]
 FrameName = Literal["base", "tcp"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 _PALIGEMMA = "paligemma_with_expert.paligemma."
 _VISION = _PALIGEMMA + "model.vision_tower.vision_model."

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from roboneuron.errors import MissingDependencyError, RoboNeuronError
+from roboneuron import MissingDependencyError, RoboNeuronError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, W
 from websockets.sync.client import ClientConnection, connect
 
 from rn_backend_pi0.wire import Value, pack, unpack
-from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron import ConfigurationError, NotReadyError
 
 _MAX_REPLY_BYTES = 64 * 2**20
 _FIRST_PAUSE_S = 0.05

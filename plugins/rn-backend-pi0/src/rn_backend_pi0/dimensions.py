@@ -13,7 +13,7 @@ from rn_backend_pi0.architecture import (
     VisionDims,
 )
 from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionBlock
-from roboneuron.errors import CheckpointError
+from roboneuron import CheckpointError
 
 
 def read_dims(config: DimensionsDocument, path: Path, *, chunk: int, state: int, action: int) -> Pi0Dims:

@@ -20,8 +20,7 @@ from rn_backend_pi0.documents import (
     StepConfig,
 )
 from rn_backend_pi0.statistics import ZScore
-from roboneuron.errors import CheckpointError
-from roboneuron.plugins.checkpoint_files import (
+from rn_vla.checkpoint_files import (
     check_file,
     check_safetensors,
     check_schema,
@@ -31,6 +30,7 @@ from roboneuron.plugins.checkpoint_files import (
     read_schema,
     reading,
 )
+from roboneuron import CheckpointError
 
 OPENPI_SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 """Camera slots of every openpi pi0. Source: openpi, models/model.py."""

@@ -13,7 +13,7 @@ from rn_backend_pi0.checkpoint import Checkpoint, Family
 from rn_backend_pi0.image import Flip, Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
 from rn_backend_pi0.weights import load_network
-from roboneuron.errors import ConfigurationError, UngroundedError
+from roboneuron import ConfigurationError, UngroundedError
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]

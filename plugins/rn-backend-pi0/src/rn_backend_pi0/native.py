@@ -15,9 +15,17 @@ from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.profiles import Profile
 from rn_backend_pi0.statistics import ZScore
-from roboneuron.contract import ACTION_SIZE, ActionChunk, Observation
-from roboneuron.contract.action import ACTION_FIELDS
-from roboneuron.errors import CheckpointError, ConfigurationError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ACTION_FIELDS,
+    ACTION_SIZE,
+    ActionChunk,
+    CheckpointError,
+    ConfigurationError,
+    Observation,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 if TYPE_CHECKING:
     from rn_backend_pi0.model import Pi0Model

@@ -13,8 +13,7 @@ from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meani
 from rn_backend_pi0.image import Flip, Resize
 from rn_backend_pi0.profiles import PROFILES, Profile
 from rn_backend_pi0.state import StateLayout, StateTerm
-from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
+from roboneuron import AgentMaySet, ConfigurationError, ConfigurationOnly
 
 ProfileName = Literal["libero", "libero-openpi", "bridge", "own"]
 Role = Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]*|-)$")]

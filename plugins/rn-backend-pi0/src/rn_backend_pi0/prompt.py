@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rn_backend_pi0.checkpoint import Family
-from roboneuron.errors import CheckpointError, UngroundedError
-from roboneuron.plugins.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
+from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
+from roboneuron import CheckpointError, UngroundedError
 
 if TYPE_CHECKING:
     from tokenizers import Tokenizer

@@ -14,8 +14,19 @@ from numpy.typing import NDArray
 from rn_backend_pi0.image import flip_image, resize_antialiased
 from rn_backend_pi0.options import Pi0RemoteOptions
 from rn_backend_pi0.profiles import Profile
-from roboneuron.contract import ACTION_SIZE, ActionChunk, Frame, JointSample, Observation, Pose
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ACTION_SIZE,
+    ActionChunk,
+    ConfigurationError,
+    Frame,
+    JointSample,
+    NotReadyError,
+    Observation,
+    Pose,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 if TYPE_CHECKING:
     from rn_backend_pi0.client import PolicyClient

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from roboneuron.contract import Observation, Pose
+from roboneuron import Observation, Pose, UngroundedError, UnsafeError
 from roboneuron.contract.rotation import (
     F64,
     matrix_from_quaternion,
@@ -17,7 +17,6 @@ from roboneuron.contract.rotation import (
     rpy_by_down,
     rpy_from_matrix,
 )
-from roboneuron.errors import UngroundedError, UnsafeError
 
 StateTerm = Literal[
     "position",

@@ -22,7 +22,7 @@ from rn_backend_pi0.architecture import (
 from rn_backend_pi0.checkpoint import PROFILE_FILE, Family
 from rn_backend_pi0.layouts import OPENPI_SLOTS
 from rn_backend_pi0.prompt import TOKENIZER_FILE
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 TINY = Pi0Dims(
     vision=VisionDims(width=32, depth=2, mlp=64, heads=4),

@@ -21,8 +21,8 @@ from rn_backend_pi0.architecture import (
 )
 from rn_backend_pi0.documents import Index
 from rn_backend_pi0.network import Pi0Network
-from roboneuron.errors import CheckpointError, ConfigurationError
-from roboneuron.plugins.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
+from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
+from roboneuron import CheckpointError, ConfigurationError
 
 _LEROBOT_PREFIX = "model."
 _FLOAT32 = ("state_proj.", "action_in_proj.", "action_time_mlp_in.", "action_time_mlp_out.", "action_out_proj.")

@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 _KINDS = frozenset("biuf")
 _MAX_DIMENSIONS = 8

@@ -12,8 +12,17 @@ from rn_backend_servo.phases import Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
-from roboneuron.contract import Acceleration, ActionChunk, Observation, Pose, Runtime
-from roboneuron.errors import InvalidInputError, StateError, UngroundedError, UnsafeError
+from roboneuron import (
+    ActionChunk,
+    AnyAcceleration,
+    AnyRuntime,
+    InvalidInputError,
+    Observation,
+    Pose,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 
 class ServoBackend:
@@ -24,7 +33,10 @@ class ServoBackend:
     """
 
     def __init__(
-        self, config: ServoOptions | None, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+        self,
+        config: ServoOptions | None,
+        runtime: AnyRuntime | None = None,
+        acceleration: AnyAcceleration | None = None,
     ) -> None:
         self._options = config or ServoOptions()
         self._is_loaded = False

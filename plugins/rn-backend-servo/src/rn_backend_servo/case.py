@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rn_backend_servo.cube import cube_corners
 from rn_backend_servo.geometry import View
 from rn_backend_servo.plugin import roboneuron_backends
-from roboneuron.contract import CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron import CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.testing.cases import BackendCase
 
 F64 = NDArray[np.float64]

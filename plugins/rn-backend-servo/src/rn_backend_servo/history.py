@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.geometry import matrix_of
-from roboneuron.contract import Pose
+from roboneuron import Pose
 
 F64 = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from roboneuron.errors import UngroundedError
+from roboneuron import UngroundedError
 
 COLOUR_BY_WORD = {
     "red": "red",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import ActionSpace, BackendSpec
+from roboneuron import ActionSpace, BackendSpec, hookimpl
 
 
 @hookimpl

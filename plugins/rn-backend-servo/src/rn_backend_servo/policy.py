@@ -11,7 +11,7 @@ from rn_backend_servo.geometry import downward, rotation_between, yaw_of
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.phases import CLOSED, OPEN, Episode, Phase, Target
 from rn_backend_servo.sight import Sighting
-from roboneuron.errors import UngroundedError
+from roboneuron import UngroundedError
 
 F64 = NDArray[np.float64]
 

@@ -12,8 +12,7 @@ from rn_backend_servo.cube import CubeEstimate, measure_cube
 from rn_backend_servo.geometry import View
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.segmentation import find_blob, visible_colours
-from roboneuron.contract import Frame
-from roboneuron.errors import UngroundedError
+from roboneuron import Frame, UngroundedError
 
 F64 = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import Frame, Pose
-from roboneuron.errors import UngroundedError
+from roboneuron import Frame, Pose, UngroundedError
 
 F64 = NDArray[np.float64]
 

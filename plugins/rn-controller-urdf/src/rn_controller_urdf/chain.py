@@ -6,7 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 _MOVING = ("revolute", "continuous", "prismatic")
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import CollisionProfile, JointSample, Proximity, RobotProfile
-from roboneuron.errors import ConfigurationError, UnsafeError
+from roboneuron import CollisionProfile, ConfigurationError, JointSample, Proximity, RobotProfile, UnsafeError
 
 F64 = NDArray[np.float64]
 

@@ -23,8 +23,7 @@ from rn_controller_urdf.refusals import (
     joint_bounds,
     shortest_duration_s,
 )
-from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
-from roboneuron.errors import StateError, UnsafeError
+from roboneuron import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile, StateError, UnsafeError
 
 F64 = NDArray[np.float64]
 

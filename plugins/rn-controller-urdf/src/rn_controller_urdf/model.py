@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.chain import ChainJoint, kinematic_urdf, parse_chain
-from roboneuron.contract import RobotProfile
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError, RobotProfile
 
 F64 = NDArray[np.float64]
 

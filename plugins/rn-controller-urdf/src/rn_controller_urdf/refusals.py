@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rn_controller_urdf.ik import Solution
 from rn_controller_urdf.model import ArmModel
 from rn_controller_urdf.options import UrdfControllerOptions
-from roboneuron.contract import Action, Hold, Workspace
+from roboneuron import Action, Hold, Workspace
 
 F64 = NDArray[np.float64]
 

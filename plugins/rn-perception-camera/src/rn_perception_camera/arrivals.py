@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from roboneuron.errors import StateError
+from roboneuron import StateError
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rn_perception_camera.fit import Size
 from rn_perception_camera.lens import Undistortion
 from rn_perception_camera.preparation import HALF_PIXEL
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rn_perception_camera.options import VideoCameraOptions
-from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron import ConfigurationError, NotReadyError
 
 HANG_LIMIT_S = 1
 """How long OpenCV waits for an image of a V4L2 device that stays silent."""

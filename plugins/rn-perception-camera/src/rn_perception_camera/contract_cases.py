@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from rn_perception_camera.plugin import roboneuron_perceptions
-from roboneuron.plugins.specs import PerceptionSpec
+from roboneuron import PerceptionSpec
 from roboneuron.testing.cases import PerceptionCase
 from roboneuron.testing.fakes import MemoryTopics, gantry_profile, gradient_image
 

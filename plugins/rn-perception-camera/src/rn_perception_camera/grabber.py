@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rn_perception_camera.capture import Capture
-from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
+from roboneuron import InternalError, NotReadyError, RoboNeuronError
 
 Opener = Callable[[], tuple[Capture, float]]
 

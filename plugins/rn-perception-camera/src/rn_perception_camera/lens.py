@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from roboneuron.contract.image import MAX_SIDE_PX, frame_from_buffer
-from roboneuron.errors import InvalidInputError
+from roboneuron import InvalidInputError, frame_from_buffer
+from roboneuron.contract.image import MAX_SIDE_PX
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CompressedImage, Image

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roboneuron.plugins.restricted import ConfigurationOnly
+from roboneuron import ConfigurationOnly
 
 SIDE_PX = Annotated[int, Field(ge=1, le=8192)]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import PerceptionSpec, Requirement
+from roboneuron import PerceptionSpec, Requirement, hookimpl
 
 _VIDEO = "pip install opencv-python-headless"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rn_perception_camera.fit import Fit, Size, fit, unchanged
 from rn_perception_camera.lens import Undistortion
 from rn_perception_camera.options import ResizeOptions
-from roboneuron.contract import CameraCalibration, CameraProfile
+from roboneuron import CameraCalibration, CameraProfile
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]

@@ -14,8 +14,7 @@ from rn_perception_camera.fit import Size
 from rn_perception_camera.messages import decompress, to_rgb
 from rn_perception_camera.options import RosCameraOptions
 from rn_perception_camera.preparation import Preparation, prepare
-from roboneuron.contract import CameraProfile, Frame, Topics
-from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron import CameraProfile, ConfigurationError, Frame, InvalidInputError, Topics
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image

@@ -9,8 +9,7 @@ from rn_perception_camera.arrivals import Arrivals
 from rn_perception_camera.options import RosCamerasOptions
 from rn_perception_camera.ros_feed import Arrival, CameraFeed
 from rn_perception_camera.served import check_cameras
-from roboneuron.contract import CameraProfile, Frame, Topics
-from roboneuron.errors import NotReadyError
+from roboneuron import CameraProfile, Frame, NotReadyError, Topics
 
 
 class RosCameras:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
-from roboneuron.contract import CameraProfile
-from roboneuron.errors import ConfigurationError
+from roboneuron import CameraProfile, ConfigurationError
 
 O = TypeVar("O")  # noqa: E741
 

@@ -16,8 +16,7 @@ from rn_perception_camera.lens import Undistortion
 from rn_perception_camera.options import VideoCameraOptions, VideoCamerasOptions
 from rn_perception_camera.preparation import HALF_PIXEL, Preparation, prepare
 from rn_perception_camera.served import check_cameras
-from roboneuron.contract import CameraProfile, Frame, Topics
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError
+from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, StateError, Topics
 
 F64 = NDArray[np.float64]
 

@@ -16,23 +16,21 @@ from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
-from roboneuron.contract import (
+from roboneuron import (
     TWIST_FIELDS,
-    JointCommand,
-    JointSample,
-    RobotProfile,
-    RobotState,
-    Topics,
-    check_twist,
-)
-from roboneuron.errors import (
     ConfigurationError,
     InvalidInputError,
+    JointCommand,
+    JointSample,
     NotReadyError,
     RefusedError,
     RoboNeuronError,
+    RobotProfile,
+    RobotState,
     StateError,
+    Topics,
     UnsafeError,
+    check_twist,
 )
 
 _START_TIMEOUT_S = 30.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
+from roboneuron import Requirement
 from roboneuron.plugins import availability
-from roboneuron.plugins.specs import Requirement
 
 Engine = Literal["pybullet", "mujoco"]
 """An engine by the name of its package."""

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 from rn_robot_bases.engine import EngineChoice, choose_engine
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
-from roboneuron.errors import InvalidInputError
+from roboneuron import InvalidInputError
 
 F64 = NDArray[np.float64]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rn_robot_bases.engine import REQUIREMENT
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import DriverSpec, RobotSpec
+from roboneuron import DriverSpec, RobotSpec, hookimpl
 
 
 def _base(name: str, summary: str) -> RobotSpec:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, RACECAR, Platform
-from roboneuron.contract import TWIST_FIELDS, Endpoint, RobotProfile
+from roboneuron import TWIST_FIELDS, Endpoint, RobotProfile
 from roboneuron.contract import check_twist as check_endpoint_twist
 
 CMD_VEL = "cmd_vel"

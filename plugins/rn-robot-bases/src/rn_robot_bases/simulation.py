@@ -11,7 +11,7 @@ from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
 from rn_robot_bases.world import World, build_world
-from roboneuron.errors import StateError
+from roboneuron import StateError
 
 STEP_S = 1.0 / 240.0
 """Physics step [s]."""

@@ -12,8 +12,7 @@ from rn_robot_fr3.cameras import Camera, cameras
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
 from rn_robot_fr3.twin import RenderTwin
-from roboneuron.contract import CameraProfile, Frame, Topics
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError
+from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, StateError, Topics
 
 
 class SimulatedCameras:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import CameraCalibration, CameraProfile
+from roboneuron import CameraCalibration, CameraProfile
 
 F64 = NDArray[np.float64]
 

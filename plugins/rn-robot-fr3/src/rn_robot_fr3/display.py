@@ -6,7 +6,7 @@ import ctypes
 import ctypes.util
 import os
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 _HINT = "Set gui = false, or DISPLAY to a running X server."
 

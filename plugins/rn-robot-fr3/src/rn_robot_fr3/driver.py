@@ -17,8 +17,18 @@ from rn_robot_fr3.pace import Pace
 from rn_robot_fr3.simulation import STEP_S, Simulation, opening
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
 from rn_robot_fr3.world import JOINTS
-from roboneuron.contract import JointCommand, JointSample, RobotProfile, RobotState, Topics
-from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError, UnsafeError
+from roboneuron import (
+    ConfigurationError,
+    JointCommand,
+    JointSample,
+    NotReadyError,
+    RoboNeuronError,
+    RobotProfile,
+    RobotState,
+    StateError,
+    Topics,
+    UnsafeError,
+)
 
 _START_TIMEOUT_S = 30.0
 _STOP_TIMEOUT_S = 10.0

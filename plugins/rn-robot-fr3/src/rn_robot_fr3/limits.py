@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import JointLimits
+from roboneuron import JointLimits
 
 F64 = NDArray[np.float64]
 

@@ -23,8 +23,7 @@ from rn_robot_fr3.world import (
     WOOD_KG_M3,
     RawPose,
 )
-from roboneuron.contract import CameraCalibration
-from roboneuron.errors import ConfigurationError
+from roboneuron import CameraCalibration, ConfigurationError
 
 F64 = NDArray[np.float64]
 

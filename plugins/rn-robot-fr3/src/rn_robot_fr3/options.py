@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rn_robot_fr3.engine import EngineChoice
 from rn_robot_fr3.scene import DEFAULT_COLOURS, check_colours
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 
 class SimulatedDriverOptions(BaseModel):

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rn_robot_fr3.engine import REQUIREMENT
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import CameraSpec, DriverSpec, PerceptionSpec, RobotSpec
+from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, RobotSpec, hookimpl
 
 
 @hookimpl

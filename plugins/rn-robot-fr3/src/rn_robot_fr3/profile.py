@@ -9,7 +9,7 @@ import numpy as np
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.description import BASE_LINK, TCP_LINK, urdf
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
-from roboneuron.contract import CollisionProfile, Endpoint, GripperProfile, Obstacle, RobotProfile, Workspace
+from roboneuron import CollisionProfile, Endpoint, GripperProfile, Obstacle, RobotProfile, Workspace
 
 HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 """The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""

@@ -27,9 +27,8 @@ from rn_robot_fr3.world import (
     WOOD_KG_M3,
     RawPose,
 )
-from roboneuron.contract import CameraCalibration
+from roboneuron import CameraCalibration, ConfigurationError
 from roboneuron.contract.rotation import matrix_from_quaternion
-from roboneuron.errors import ConfigurationError
 
 F64 = NDArray[np.float64]
 

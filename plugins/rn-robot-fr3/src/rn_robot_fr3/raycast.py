@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
-from roboneuron.contract import CameraCalibration
+from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
-from roboneuron.contract import CameraCalibration
+from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
 

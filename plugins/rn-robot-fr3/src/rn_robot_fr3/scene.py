@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 RGBA_BY_COLOUR: dict[str, tuple[float, float, float, float]] = {
     "red": (0.84, 0.10, 0.10, 1.0),

@@ -26,9 +26,8 @@ from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.world import JOINTS, World, build_world
-from roboneuron.contract import JointCommand, Pose
+from roboneuron import InvalidInputError, JointCommand, Pose, StateError
 from roboneuron.contract.rotation import quaternion_from_matrix
-from roboneuron.errors import InvalidInputError, StateError
 
 F64 = NDArray[np.float64]
 

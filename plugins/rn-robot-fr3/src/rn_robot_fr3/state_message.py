@@ -16,7 +16,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from rn_robot_fr3.engine import ENGINES, Engine
 from rn_robot_fr3.scene import RGBA_BY_COLOUR
 from rn_robot_fr3.world import JOINTS
-from roboneuron.errors import InvalidInputError
+from roboneuron import InvalidInputError
 
 F64 = NDArray[np.float64]
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import SceneState
 from rn_robot_fr3.world import World, build_world
-from roboneuron.contract import CameraCalibration
-from roboneuron.errors import StateError
+from roboneuron import CameraCalibration, StateError
 
 
 class RenderTwin:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT
 from rn_robot_fr3.scene import Cube
-from roboneuron.contract import CameraCalibration
+from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
 RawPose = tuple[Sequence[float], Sequence[float]]

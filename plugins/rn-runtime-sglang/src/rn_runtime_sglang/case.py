@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
-from roboneuron.contract.decoding import DecoderShape, PolicyModel, Prompt, TokenRequest
+from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, TokenRequest
 from roboneuron.testing import RuntimeCase
 
 
 def sglang_case() -> RuntimeCase:
     """The runtime `sglang` in managed mode, with the stand-in instead of SGLang."""
     from rn_runtime_sglang.standin.site import write_site
+    from rn_vla.testing import check_token_answer, late
 
     @functools.cache
     def directory() -> Path:
@@ -38,6 +39,8 @@ def sglang_case() -> RuntimeCase:
         model=lambda: policy_model(directory() / "checkpoint"),
         request=token_request,
         bad_request=lambda: token_request(count=65),
+        late_request=lambda: late(token_request()),
+        check_answer=check_token_answer,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roboneuron.plugins.restricted import ConfigurationOnly
+from roboneuron import ConfigurationOnly
 
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

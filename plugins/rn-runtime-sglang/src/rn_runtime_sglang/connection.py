@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from roboneuron.errors import NotReadyError
+from roboneuron import NotReadyError
 
 MAX_ANSWER_BYTES = 4 << 20
 """No honest answer is longer."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from rn_runtime_sglang.connection import AnswerTooLate, ServerLost
 from rn_runtime_sglang.server import Server
 from rn_runtime_sglang.wire import Generated, MalformedReply
-from roboneuron.errors import NotReadyError, RoboNeuronError
+from roboneuron import NotReadyError, RoboNeuronError
 
 Check = Callable[[], None]
 """Raises when nobody wants the answer any more."""

@@ -9,7 +9,7 @@ from rn_runtime_sglang.connection import Connection
 from rn_runtime_sglang.served.fingerprint import served_name
 from rn_runtime_sglang.served.versions import SUPPORTED, is_supported
 from rn_runtime_sglang.wire import error_text, parse_object
-from roboneuron.errors import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
 
 ARCHITECTURE = "OpenVLAForActionPrediction"
 

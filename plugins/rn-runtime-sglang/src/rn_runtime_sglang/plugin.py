@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import RuntimeSpec
+from roboneuron import RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla",)
 """Model families whose requests it answers; why not OpenVLA-OFT and pi0 is said in docs/sglang.md."""

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.served.versions import SUPPORTED, TESTED, is_supported
-from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import ConfigurationError, MissingDependencyError, NotReadyError
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 LAST_LINES = 15
@@ -28,7 +28,7 @@ import importlib.metadata as m, json
 def v(name):
     try: return m.version(name)
     except m.PackageNotFoundError: return None
-print(json.dumps({n: v(n) for n in ("sglang", "rn-runtime-sglang", "rn-backend-openvla", "roboneuron-core")}))
+print(json.dumps({n: v(n) for n in ("sglang", "rn-runtime-sglang", "rn-vla", "roboneuron-core")}))
 """
 
 
@@ -221,5 +221,5 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
         raise MissingDependencyError(
             f"{', '.join(absent)} must be installed for {python} too.",
             hint=f"Run in RoboNeuron's source folder: {pip} --no-deps ./plugins/rn-runtime-sglang "
-            "./plugins/rn-backend-openvla ./roboneuron-core",
+            "./plugins/rn-vla ./roboneuron-core",
         )

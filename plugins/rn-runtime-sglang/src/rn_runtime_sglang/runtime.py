@@ -8,6 +8,7 @@ import secrets
 import ssl
 import threading
 import time
+from typing import TYPE_CHECKING
 
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.connection import Access
@@ -17,9 +18,8 @@ from rn_runtime_sglang.plugin import FAMILIES
 from rn_runtime_sglang.process import ManagedServer
 from rn_runtime_sglang.server import Server
 from rn_runtime_sglang.wire import encode_body
-from roboneuron.contract.decoding import PolicyModel, TokenReply, TokenRequest
-from roboneuron.contract.protocols import Acceleration
-from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, StateError
+from rn_vla.decoding import LlamaAcceleration, PolicyModel, TokenReply, TokenRequest, TokenRuntime
+from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, StateError
 
 log = logging.getLogger(__name__)
 _WARM_PROMPT_TOKENS = 16
@@ -28,7 +28,7 @@ _WARM_S = 120.0
 
 
 class SglangRuntime:
-    """Follows `roboneuron.contract.Runtime`; `run` is called from one thread, `abort` from any."""
+    """Follows `rn_vla.decoding.TokenRuntime`; `run` is called from one thread, `abort` from any."""
 
     def __init__(self, config: SglangRuntimeConfig) -> None:
         self._config = config
@@ -37,7 +37,7 @@ class SglangRuntime:
         self._fleet: Fleet | None = None
         self._aborted = threading.Event()
 
-    def load(self, model: PolicyModel, acceleration: Acceleration | None = None) -> None:
+    def load(self, model: PolicyModel, acceleration: LlamaAcceleration | None = None) -> None:
         """Launch or reach the servers, check what they serve, and have one example answered.
 
         Raises:
@@ -200,3 +200,7 @@ class SglangRuntime:
             fleet.close()
         if managed is not None:
             managed.stop()
+
+
+if TYPE_CHECKING:
+    _: type[TokenRuntime] = SglangRuntime

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from rn_runtime_sglang.connection import Access, AnswerTooLate, Connection, ServerLost
 from rn_runtime_sglang.identity import Expectation
 from rn_runtime_sglang.wire import Generated, MalformedReply, error_text, parse_metrics, parse_reply, with_id
-from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
 _POLL_LIMIT_S = 1.0

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from roboneuron.contract.decoding import TokenRequest
-from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
+from rn_vla.decoding import TokenRequest
+from roboneuron import InvalidInputError, NotReadyError, UnsafeError
 
 I64 = NDArray[np.int64]
 UNUSABLE_TOKEN = 0

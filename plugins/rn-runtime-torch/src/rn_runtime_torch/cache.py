@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from roboneuron.contract.decoding import DecoderShape
+from rn_vla.decoding import DecoderShape
 
 
 class KeyValueCache:

@@ -14,6 +14,7 @@ from roboneuron.testing import RuntimeCase
 def torch_case() -> RuntimeCase:
     """The runtime `torch` on the CPU."""
     from rn_runtime_torch.toy import EveryOtherToken, ToyPolicy  # heavy: torch
+    from rn_vla.testing import check_token_answer, late
 
     def policy() -> ToyPolicy:
         return ToyPolicy(path=_directory())
@@ -25,6 +26,8 @@ def torch_case() -> RuntimeCase:
         request=lambda: policy().token_request(),
         bad_request=lambda: policy().token_request(count=65),
         acceleration=EveryOtherToken,
+        late_request=lambda: late(policy().token_request()),
+        check_answer=check_token_answer,
     )
 
 

@@ -11,10 +11,10 @@ from torch.nn import functional
 
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.int8 import Int8Weight
-from rn_runtime_torch.pruning import AttentionView, TokenSelection
 from rn_runtime_torch.scratch import Scratch
-from roboneuron.contract.decoding import DecoderShape
-from roboneuron.errors import ConfigurationError
+from rn_vla.decoding import DecoderShape
+from rn_vla.pruning import AttentionView, TokenSelection
+from roboneuron import ConfigurationError
 
 MATRICES = ("qkv", "out", "gate_up", "down")
 """Parameters of a layer that rows are multiplied with."""

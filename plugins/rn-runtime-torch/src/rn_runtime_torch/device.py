@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from rn_runtime_torch.config import TorchRuntimeConfig
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 _STREAM_BYTES = 2 * 32 * 2**20
 """Workspaces of cuBLAS and cuBLASLt per stream: 32 MiB each on Hopper, less before. Source: PyTorch, CUDA notes."""

@@ -20,9 +20,17 @@ from rn_runtime_torch.int8 import check_int8
 from rn_runtime_torch.memory import PeakBytes
 from rn_runtime_torch.scratch import Scratch
 from rn_runtime_torch.weights import check_shards, load_shards
-from roboneuron.contract.decoding import PolicyModel, Request, RowsReply, RowsRequest, TokenReply, TokenRequest
-from roboneuron.contract.protocols import Acceleration
-from roboneuron.errors import ConfigurationError, InvalidInputError, UnsafeError
+from rn_vla.decoding import (
+    LlamaAcceleration,
+    PolicyModel,
+    Reply,
+    Request,
+    RowsReply,
+    RowsRequest,
+    TokenReply,
+    TokenRequest,
+)
+from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Kind = tuple[str | int, ...]
 Check = Callable[[], None]
@@ -45,7 +53,7 @@ class Engine:
         ConfigurationError: the device is not there, the model does not fit, or the preset does not.
     """
 
-    def __init__(self, model: PolicyModel, config: TorchRuntimeConfig, acceleration: Acceleration | None) -> None:
+    def __init__(self, model: PolicyModel, config: TorchRuntimeConfig, acceleration: LlamaAcceleration | None) -> None:
         if config.threads is not None:
             torch.set_num_threads(config.threads)
         self._model = model
@@ -139,7 +147,7 @@ class Engine:
         first = min(first, last)
         return range(first, (first if self._graphs is None else last) + 1)
 
-    def answer(self, request: Request, check: Check) -> TokenReply | RowsReply:
+    def answer(self, request: Request, check: Check) -> Reply:
         """Run one request; `check` is called between steps where there are any.
 
         Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import ConfigurationError
 
 _ROWS = 1024
 """Rows quantised at once: bounds the float32 copy."""

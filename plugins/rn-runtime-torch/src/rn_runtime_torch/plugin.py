@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import Requirement, RuntimeSpec
+from roboneuron import Requirement, RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla", "openvla-oft")
 """Model families whose requests it answers."""
 CAPABILITIES = ("token-decode", "bidirectional-hidden", "visual-token-pruning")
-"""Kinds of request (see `roboneuron.contract.decoding`) and hooks it has."""
+"""Kinds of request (see `rn_vla.decoding`) and hooks it has."""
 
 
 @hookimpl

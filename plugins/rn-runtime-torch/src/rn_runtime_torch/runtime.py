@@ -9,23 +9,22 @@ from typing import TYPE_CHECKING
 
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import FAMILIES
-from roboneuron.contract.decoding import PolicyModel, Request, RowsReply, RowsRequest, TokenReply, TokenRequest
-from roboneuron.contract.protocols import Acceleration
-from roboneuron.errors import InvalidInputError, NotReadyError, StateError
+from rn_vla.decoding import LlamaAcceleration, LlamaRuntime, PolicyModel, Reply, Request, RowsRequest, TokenRequest
+from roboneuron import InvalidInputError, NotReadyError, StateError
 
 if TYPE_CHECKING:
     from rn_runtime_torch.engine import Engine
 
 
 class TorchRuntime:
-    """Follows `roboneuron.contract.Runtime`; `run` is called from one thread, `abort` from any."""
+    """Follows `rn_vla.decoding.LlamaRuntime`; `run` is called from one thread, `abort` from any."""
 
     def __init__(self, config: TorchRuntimeConfig | None = None) -> None:
         self._config = config or TorchRuntimeConfig()
         self._engine: Engine | None = None
         self._aborted = threading.Event()
 
-    def load(self, model: PolicyModel, acceleration: Acceleration | None = None) -> None:
+    def load(self, model: PolicyModel, acceleration: LlamaAcceleration | None = None) -> None:
         """Check the files, put the weights on the device, install the preset, warm up.
 
         Raises:
@@ -41,7 +40,7 @@ class TorchRuntime:
 
         self._engine = Engine(model, self._config, acceleration)
 
-    def run(self, request: Request) -> TokenReply | RowsReply:
+    def run(self, request: Request) -> Reply:
         """Answer one request.
 
         Raises:
@@ -79,3 +78,7 @@ class TorchRuntime:
             from rn_runtime_torch.engine import release_memory  # heavy: torch
 
             release_memory()
+
+
+if TYPE_CHECKING:
+    _: type[LlamaRuntime] = TorchRuntime

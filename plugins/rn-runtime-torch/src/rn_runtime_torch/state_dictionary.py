@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roboneuron.errors import CheckpointError
-from roboneuron.plugins.checkpoint_files import check_file, clip
+from rn_vla.checkpoint_files import check_file, clip
+from roboneuron import CheckpointError
 
 _MAX_HEADER_BYTES = 16 * 2**20
 _MAX_RECORDS = 65_536

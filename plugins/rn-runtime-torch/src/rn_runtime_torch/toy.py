@@ -12,8 +12,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from rn_runtime_torch.decoder import Decoder
-from rn_runtime_torch.pruning import AttentionView, PrunableDecoder
-from roboneuron.contract.decoding import DecoderShape, PolicyModel, Prompt, RowsRequest, Shard, TokenRequest, Weight
+from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, RowsRequest, Shard, TokenRequest, Weight
+from rn_vla.pruning import AttentionView, PrunableDecoder
 
 FEATURES = 6
 """Width of each visual token's features, the array "features" (visual tokens, FEATURES)."""
@@ -128,7 +128,7 @@ class EveryOtherToken:
         decoder.install_selection(self)
 
     def select(self, view: AttentionView) -> Tensor:
-        """See `rn_runtime_torch.pruning.TokenSelection`."""
+        """See `rn_vla.pruning.TokenSelection`."""
         start, end, count = view.visual_start, view.visual_start + view.visual_count, view.key.shape[2]
         parts = ((0, start, 1), (start, end, 2), (end, count, 1))
         # Made on the device: a list of the host cannot be copied while a CUDA graph is recorded.

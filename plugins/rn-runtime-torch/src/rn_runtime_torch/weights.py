@@ -13,9 +13,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from rn_runtime_torch.state_dictionary import read_header
-from roboneuron.contract.decoding import Shard
-from roboneuron.errors import CheckpointError
-from roboneuron.plugins.checkpoint_files import check_safetensors, clip, list_names
+from rn_vla.checkpoint_files import check_safetensors, clip, list_names
+from rn_vla.decoding import Shard
+from roboneuron import CheckpointError
 
 _REAL_NUMBERS = {"F64", "F32", "F16", "BF16", "Double", "Float", "Half", "BFloat16"}
 """Number types of weights, in the words of safetensors and of torch.save."""

@@ -27,6 +27,8 @@ from roboneuron.contract.profile import (
 )
 from roboneuron.contract.protocols import (
     Acceleration,
+    AnyAcceleration,
+    AnyRuntime,
     Backend,
     Controller,
     PerceptionSource,
@@ -45,6 +47,8 @@ __all__ = [
     "Acceleration",
     "Action",
     "ActionChunk",
+    "AnyAcceleration",
+    "AnyRuntime",
     "Backend",
     "CameraCalibration",
     "CameraProfile",

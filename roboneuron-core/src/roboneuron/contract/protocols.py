@@ -7,13 +7,23 @@ Each class named by a descriptor's `target` is called as `target(config, ...)` w
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Never, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from roboneuron.contract.action import Action, ActionChunk
 from roboneuron.contract.motion import Hold, JointCommand, Posture, RobotState
 from roboneuron.contract.observation import Frame, JointSample, Observation, Pose
 
 M = TypeVar("M")
+Model = TypeVar("Model", contravariant=True)
+"""What a model family's backends give to `Runtime.load`."""
+Request = TypeVar("Request", contravariant=True)
+"""What they give to `Runtime.run`."""
+Answer = TypeVar("Answer", covariant=True)
+"""What `Runtime.run` returns."""
+Decoder = TypeVar("Decoder", covariant=True)
+"""What a runtime gives to `Acceleration.apply`."""
+Accelerated = TypeVar("Accelerated", contravariant=True)
+"""What an acceleration takes there: the same type, or a part of it."""
 
 
 class Topics(Protocol):
@@ -82,18 +92,19 @@ class Backend(Protocol):
 
 
 @runtime_checkable
-class Runtime(Protocol):
+class Runtime(Protocol[Model, Request, Answer, Decoder]):
     """Executes a model family's decoder for a backend, in process or served. Built as `target(config)`.
 
-    What `load` takes and what requests look like is agreed per model family between the packages concerned;
-    the descriptor's `families` names them and planning matches them.
+    What `load` takes and what requests look like is agreed per model family between the packages concerned, in types
+    that a package of the family binds here (`Runtime[MyModel, MyRequest, MyAnswer, MyDecoder]`); the descriptor's
+    `families` names them and planning matches them.
     """
 
-    def load(self, model: Any, acceleration: Acceleration | None = None) -> None:
+    def load(self, model: Model, acceleration: Acceleration[Decoder] | None = None) -> None:
         """Take the model (in process: read its weights; served: reach the server and check what it serves)."""
         ...
 
-    def run(self, request: Any) -> Any:
+    def run(self, request: Request) -> Answer:
         """Execute one request of the family; blocks until the answer or the request's deadline.
 
         Raises:
@@ -111,16 +122,22 @@ class Runtime(Protocol):
 
 
 @runtime_checkable
-class Acceleration(Protocol):
+class Acceleration(Protocol[Accelerated]):
     """A named preset that changes how a loaded model is executed. Built as `target(config)`."""
 
-    def apply(self, decoder: Any) -> None:
+    def apply(self, decoder: Accelerated) -> None:
         """Install the preset into a decoder of a runtime that has the capability the descriptor requires.
 
         Raises:
             InvalidInputError: the decoder is of a kind that the preset does not know.
         """
         ...
+
+
+AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
+"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but not used."""
+AnyAcceleration: TypeAlias = Acceleration[Never]
+"""Likewise an acceleration."""
 
 
 @runtime_checkable

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import ActionChunk, Backend, CameraProfile, Observation, Runtime
+from roboneuron.contract import ActionChunk, AnyRuntime, Backend, CameraProfile, Observation
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.inputs import NewestInputs
@@ -54,7 +54,7 @@ class InferenceModule(Module):
     def __init__(self, node: ModuleNode) -> None:
         super().__init__(node)
         self._backend: Backend | None = None
-        self._runtime: Runtime | None = None
+        self._runtime: AnyRuntime | None = None
         self._publisher: LifecyclePublisher | None = None
         self._subscriptions: list[object] = []
         self._inputs: NewestInputs | None = None
@@ -99,7 +99,7 @@ class InferenceModule(Module):
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
             for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
         }
-        self._runtime = cast("Runtime | None", parts["runtime"])
+        self._runtime = cast("AnyRuntime | None", parts["runtime"])
         self._backend = cast("Backend", build(spec, options, **parts))
         started_s = time.monotonic()
         self._backend.load()

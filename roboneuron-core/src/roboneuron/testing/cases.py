@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from roboneuron.contract import (
     Acceleration,
+    AnyAcceleration,
+    AnyRuntime,
     Backend,
     CameraProfile,
     Controller,
@@ -125,8 +127,8 @@ class BackendCase(Case[BackendSpec]):
     subject: ClassVar[str] = "backend"
 
     observe: Callable[[], Observation] | None = None
-    runtime: Callable[[], Runtime] | None = None
-    acceleration: Callable[[], Acceleration] | None = None
+    runtime: Callable[[], AnyRuntime] | None = None
+    acceleration: Callable[[], AnyAcceleration] | None = None
     predict_limit_s: float = 1.0
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
@@ -161,6 +163,9 @@ class RuntimeCase(Case[RuntimeSpec]):
         bad_request: makes a request that must be refused; None likewise.
         acceleration: makes a preset that `load` must accept; None likewise.
         other_request: makes another request than `request`, whose answer differs; None likewise.
+        late_request: makes a request whose deadline is over; None likewise.
+        check_answer: takes model, request and answer and raises Violation for an answer that its family does not
+            allow; None likewise.
         long_request: makes a request that runs for seconds unless it is aborted; `request` when None.
         expected: makes the answer to `request`; None when it is not known.
         run_limit_s: how long the quickest of three runs of `request` may take [s].
@@ -171,15 +176,17 @@ class RuntimeCase(Case[RuntimeSpec]):
     model: Callable[[], object] | None = None
     request: Callable[[], object] | None = None
     bad_request: Callable[[], object] | None = None
-    acceleration: Callable[[], Acceleration] | None = None
+    acceleration: Callable[[], Acceleration[Any]] | None = None
     other_request: Callable[[], object] | None = None
+    late_request: Callable[[], object] | None = None
+    check_answer: Callable[[Any, Any, Any], None] | None = None
     long_request: Callable[[], object] | None = None
     expected: Callable[[], object] | None = None
     run_limit_s: float = 5.0
 
-    def build(self) -> Runtime:
+    def build(self) -> Runtime[Any, Any, Any, Any]:
         """A new runtime, not loaded."""
-        return cast(Runtime, self.prepare()())
+        return cast("Runtime[Any, Any, Any, Any]", self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,9 +204,9 @@ class AccelerationCase(Case[AccelerationSpec]):
     decoder: Callable[[], object] | None = None
     expected: Callable[[Any], bool] | None = None
 
-    def build(self) -> Acceleration:
+    def build(self) -> Acceleration[Any]:
         """A new preset."""
-        return cast(Acceleration, self.prepare()())
+        return cast("Acceleration[Any]", self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,37 +3,44 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mutation import Mutant, compute, counted, forever, leave_thread, mutate, or_else, read_file, remembered, then
 
-from roboneuron.contract.decoding import DecoderShape, PolicyModel, Prompt, TokenReply, TokenRequest
 from roboneuron.errors import InvalidInputError, StateError
 from roboneuron.testing.fakes import CountingRuntime, FakeDecoder, HalvingAcceleration
+from roboneuron.testing.rule import require
 
-VOCABULARY = 32
+
+@dataclass(frozen=True)
+class TokenRequest:
+    """A request of a model family that has deadlines."""
+
+    ids: np.ndarray
+    count: int
+    deadline_s: float | None = None
 
 
 class TokenRuntime:
-    """A good runtime of token requests: token i is the sum of the ids plus i, best of the logits."""
+    """A good runtime of token requests: token i is the sum of the ids plus i."""
 
     def __init__(self, config):
         self._loaded = False
 
     def load(self, model, acceleration=None):
-        if not isinstance(model, PolicyModel):
-            raise InvalidInputError("no PolicyModel")
+        if model != "tokens":
+            raise InvalidInputError("no such model")
         self._loaded = True
 
     def run(self, request):
         if not self._loaded:
             raise StateError("not loaded")
-        if not isinstance(request, TokenRequest) or request.max_new_tokens > 8:
+        if not isinstance(request, TokenRequest) or request.count > 8:
             raise InvalidInputError("no TokenRequest")
         if request.deadline_s is not None and request.deadline_s < time.monotonic():
             raise StateError("too late")
-        tokens = (int(request.prompt.ids.sum()) + np.arange(request.max_new_tokens)) % VOCABULARY
-        return TokenReply(tokens=tokens, logits=np.eye(VOCABULARY)[tokens[0]] if request.with_logits else None)
+        return int(request.ids.sum()) + np.arange(request.count)
 
     def abort(self): ...
 
@@ -41,27 +48,21 @@ class TokenRuntime:
         self._loaded = False
 
 
-def token_request(count=4):
-    prompt = Prompt(text="go", ids=np.array([1, 2, count]), images=(), arrays={})
-    return TokenRequest(prompt=prompt, max_new_tokens=count, with_logits=True)
+def token_request(count=4, deadline_s=None):
+    return TokenRequest(ids=np.array([1, 2, count]), count=count, deadline_s=deadline_s)
 
 
-def token_model():
-    shape = DecoderShape(
-        hidden=8, intermediate=8, layers=1, heads=1, key_value_heads=1, vocabulary=VOCABULARY,
-        norm_epsilon=1e-6, rope_theta=1e4, max_positions=64,
-    )  # fmt: skip
-    return PolicyModel(
-        family="fake", checkpoint=None, decoder=shape, shards=(), visual_tokens=0, max_prompt_tokens=8,
-        max_new_tokens=8, example=token_request, build_front=lambda: None,
-    )  # fmt: skip
+def check_tokens(model, request, answer):
+    require(len(answer) == request.count, f"{len(answer)} tokens, asked for {request.count}")
 
 
 TOKENS = {
-    "model": token_model,
+    "model": lambda: "tokens",
     "request": token_request,
     "bad_request": lambda: token_request(9),
     "other_request": lambda: token_request(5),
+    "late_request": lambda: token_request(deadline_s=time.monotonic() - 1.0),
+    "check_answer": check_tokens,
     "acceleration": None,
     "expected": None,
 }
@@ -76,12 +77,6 @@ def but(rule, words="", *, spec=None, case=None, **changes):
 def tokens(rule, words="", *, case=None, **changes):
     case = {**TOKENS, **(case or {})}
     return Mutant(rule=f"runtime/{rule}", target=mutate(TokenRuntime, **changes), case=case, words=words)
-
-
-def reply(call, request, **changes):
-    good = call(request)
-    fields = {"tokens": good.tokens, "logits": good.logits, **changes}
-    return TokenReply(**fields)
 
 
 def leaking(self, call, request):
@@ -106,7 +101,7 @@ def shared_list(self, call, request):
 
 def painted(self, call, request):
     good = call(request)
-    request.prompt.ids[:] = 0
+    request.ids[:] = 0
     return good
 
 
@@ -195,24 +190,9 @@ RUNTIMES: dict[str, Mutant] = {
         case={"long_request": lambda: "long"},
         run=lambda s, call, r: forever() if r == "long" else call(r),
     ),
-    "too_few_tokens": tokens("reply-complete", run=lambda s, call, r: reply(call, r, tokens=call(r).tokens[:-1])),
-    "too_many_tokens": tokens(
-        "reply-complete", run=lambda s, call, r: reply(call, r, tokens=np.append(call(r).tokens, 1))
-    ),
-    "token_outside_the_vocabulary": tokens(
-        "reply-complete", run=lambda s, call, r: reply(call, r, tokens=call(r).tokens + VOCABULARY)
-    ),
-    "tokens_of_a_batch": tokens("reply-complete", run=lambda s, call, r: reply(call, r, tokens=call(r).tokens[None])),
-    "logits_of_another_position": tokens(
-        "reply-complete", "best", run=lambda s, call, r: reply(call, r, logits=np.roll(call(r).logits, 1))
-    ),
-    "logits_too_short": tokens("reply-complete", run=lambda s, call, r: reply(call, r, logits=call(r).logits[:-1])),
-    "logits_of_nan": tokens("reply-complete", run=lambda s, call, r: reply(call, r, logits=call(r).logits * np.nan)),
-    "list_instead_of_a_reply": tokens("reply-complete", run=lambda s, call, r: call(r).tokens.tolist()),
+    "too_few_tokens": tokens("reply-complete", "asked for", run=lambda s, call, r: call(r)[:-1]),
     "prompt_written_to": tokens("input-kept", run=painted),
-    "deadline_ignored": tokens(
-        "deadline-kept", run=lambda s, call, r: call(TokenRequest(prompt=r.prompt, max_new_tokens=r.max_new_tokens))
-    ),
+    "deadline_ignored": tokens("deadline-kept", run=lambda s, call, r: call(replace(r, deadline_s=None))),
 }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from transformers import LlamaConfig, PretrainedConfig, PreTrainedTokenizerFast
 
-from rn_backend_openvla.model_files import TextConfig
+from rn_vla.openvla.model_files import TextConfig
 
 MODEL_TYPE = "openvla"
 ARCHITECTURE = "OpenVLAForActionPrediction"

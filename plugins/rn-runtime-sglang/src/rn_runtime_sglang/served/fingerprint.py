@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from roboneuron.plugins.checkpoint_files import MAX_JSON_BYTES, check_file
+from rn_vla.checkpoint_files import MAX_JSON_BYTES, check_file
 
 _SAMPLES = 16
 _SAMPLE_BYTES = 16384

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.contract import ActionChunk, Frame, JointSample, Observation, Pose, Runtime
-from roboneuron.contract.protocols import Acceleration
+from roboneuron.contract import ActionChunk, AnyAcceleration, AnyRuntime, Frame, JointSample, Observation, Pose
 from roboneuron.errors import InvalidInputError, StateError, UnsafeError
 from roboneuron.plugins.specs import ActionSpace, BackendSpec
 from roboneuron.testing.fakes.perception import gradient_image
@@ -27,7 +26,10 @@ class InstantBackend:
     """Follows the protocol `Backend`: a small move along x, at once, whatever it sees."""
 
     def __init__(
-        self, config: InstantOptions | None, runtime: Runtime | None = None, acceleration: Acceleration | None = None
+        self,
+        config: InstantOptions | None,
+        runtime: AnyRuntime | None = None,
+        acceleration: AnyAcceleration | None = None,
     ) -> None:
         self._options = config or InstantOptions()
         self._loaded = False

@@ -27,7 +27,7 @@ class CountingRuntime:
     def __init__(self, config: None) -> None:
         self._decoder: FakeDecoder | None = None
 
-    def load(self, model: object, acceleration: Acceleration | None = None) -> None:
+    def load(self, model: object, acceleration: Acceleration[FakeDecoder] | None = None) -> None:
         """Take a model's name; raises InvalidInputError for anything else."""
         if not isinstance(model, str):
             raise InvalidInputError(f"The model is {type(model).__name__}, expected its name.")

@@ -30,7 +30,7 @@ class _Foreign:
         self.forward = "forward"
 
 
-def _built(case: AccelerationCase) -> Acceleration:
+def _built(case: AccelerationCase) -> Acceleration[Any]:
     return bounded(attempt(case, case.build), case.limits_s)
 
 

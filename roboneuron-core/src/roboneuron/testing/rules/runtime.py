@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import copy
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
-import numpy as np
-
 from roboneuron.contract import Acceleration, Runtime
-from roboneuron.contract.decoding import PolicyModel, TokenReply, TokenRequest
 from roboneuron.errors import InvalidInputError, RoboNeuronError
 from roboneuron.testing.cases import RuntimeCase
 from roboneuron.testing.effects import check_quick, expect_refusal, within
 from roboneuron.testing.lifecycle import Lifecycle, attempt, started
-from roboneuron.testing.rule import NotApplicable, Rule, Violation, require
+from roboneuron.testing.rule import NotApplicable, Rule, require
 from roboneuron.testing.snapshots import is_alike, snapshot
 
 T = TypeVar("T")
+Tried = Runtime[Any, Any, Any, Any]
+"""Of any family: what a case gives it is agreed there."""
 
 ABORT_LIMIT_S = 2.0
 """`abort` gives up; it does not wait for what it gives up."""
@@ -34,21 +32,21 @@ def _given(make: Callable[[], T] | None, what: str) -> Callable[[], T]:
     return make
 
 
-def _load(case: RuntimeCase, runtime: Runtime) -> None:
+def _load(case: RuntimeCase, runtime: Tried) -> None:
     runtime.load(_given(case.model, "model")())
 
 
-def _run(case: RuntimeCase, runtime: Runtime) -> Any:
+def _run(case: RuntimeCase, runtime: Tried) -> Any:
     return _answer(runtime, _given(case.request, "request")())
 
 
-def _answer(runtime: Runtime, request: object) -> Any:
+def _answer(runtime: Tried, request: object) -> Any:
     answer = runtime.run(request)
     require(answer is not None, "run returned None, expected the answer")
     return answer
 
 
-LIFECYCLE: Lifecycle[RuntimeCase, Runtime] = Lifecycle(
+LIFECYCLE: Lifecycle[RuntimeCase, Tried] = Lifecycle(
     subject="runtime", protocol=Runtime, begin="load", start=_load, uses={"run": _run}, repeat=10
 )
 """How a runtime is started and used."""
@@ -73,22 +71,12 @@ def _check_expected(case: RuntimeCase) -> None:
 
 
 def _check_reply(case: RuntimeCase) -> None:
+    check = case.check_answer
+    if check is None:
+        raise NotApplicable("the case does not say what an answer holds")
     request, model = _given(case.request, "request")(), _given(case.model, "model")()
-    if not isinstance(request, TokenRequest) or not isinstance(model, PolicyModel):
-        raise NotApplicable("the case's request is no TokenRequest")
     with _loaded(case) as runtime:
-        reply = _answer(runtime, request)
-    if not isinstance(reply, TokenReply):
-        raise Violation(f"run of a TokenRequest returned {type(reply).__name__}, expected a TokenReply")
-    count, vocabulary = request.max_new_tokens, model.decoder.vocabulary
-    require(reply.tokens.shape == (count,), f"a reply holds tokens {reply.tokens.shape}, asked for {count}")
-    inside = bool(((reply.tokens >= 0) & (reply.tokens < vocabulary)).all())
-    require(inside, f"a reply holds a token outside of the vocabulary of {vocabulary}")
-    if request.with_logits and reply.logits is not None:
-        require(reply.logits.shape == (vocabulary,), f"logits have shape {reply.logits.shape}, expected {vocabulary}")
-        require(bool(np.isfinite(reply.logits).all()), "logits hold a value that is not finite")
-        best = int(np.argmax(reply.logits))
-        require(best == int(reply.tokens[0]), f"the first token is {reply.tokens[0]}, the logits' best is {best}")
+        check(model, request, _answer(runtime, request))
 
 
 def _check_repeats(case: RuntimeCase) -> None:
@@ -152,7 +140,7 @@ def _check_bad_model(case: RuntimeCase) -> None:
 class _Recorded:
     """An acceleration that counts how often it is applied, or refuses."""
 
-    def __init__(self, inner: Acceleration, *, refuses: bool = False) -> None:
+    def __init__(self, inner: Acceleration[Any], *, refuses: bool = False) -> None:
         self.inner, self.refuses, self.count = inner, refuses, 0
 
     def __getattr__(self, name: str) -> Any:
@@ -225,12 +213,9 @@ def _check_abort_works(case: RuntimeCase) -> None:
 
 
 def _check_deadline(case: RuntimeCase) -> None:
-    request = _given(case.request, "request")()
-    if not isinstance(request, TokenRequest):
-        raise NotApplicable("the case's request is no TokenRequest")
-    late = TokenRequest(prompt=request.prompt, max_new_tokens=request.max_new_tokens, deadline_s=time.monotonic() - 1.0)
+    late = _given(case.late_request, "request whose deadline is over")
     with _loaded(case) as runtime:
-        expect_refusal(lambda: runtime.run(late), "run of a request whose deadline is over")
+        expect_refusal(lambda: runtime.run(late()), "run of a request whose deadline is over")
         _run(case, runtime)
 
 
@@ -251,7 +236,7 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
     ),
     _rule("run-answers", "After `load`, `run` answers one request after the other.", "run", _check_run),
     _rule("run-expected", "`run` answers what the case expects.", "run", _check_expected),
-    _rule("reply-complete", "A TokenReply holds the tokens that were asked for.", "run", _check_reply),
+    _rule("reply-complete", "An answer holds what its request asks for, as its family has it.", "run", _check_reply),
     _rule("run-repeatable", "The same request has the same answer, whatever was run before.", "run", _check_repeats),
     _rule("instances-agree", "Two runtimes answer one request alike.", "run", _check_fresh),
     _rule("answer-kept", "An answer that was returned is not written to later.", "run", _check_answer_kept),

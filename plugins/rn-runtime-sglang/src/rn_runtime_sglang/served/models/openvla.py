@@ -12,9 +12,9 @@ from sglang.srt.managers.schedule_batch import Modality, MultimodalDataItem, Mul
 from sglang.srt.models.llama import LlamaForCausalLM
 from torch import Tensor, nn
 
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.front import OpenVlaFront
 from rn_runtime_sglang.served.configuration import OpenVlaServedConfig
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.front import OpenVlaFront
 
 UNUSABLE_TOKEN = 0
 """Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that holds it."""

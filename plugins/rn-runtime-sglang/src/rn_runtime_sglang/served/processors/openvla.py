@@ -14,10 +14,10 @@ from PIL import Image
 from sglang.srt.managers.schedule_batch import Modality, MultimodalDataItem, MultimodalProcessorOutput
 from sglang.srt.multimodal.processors.base_processor import BaseMultimodalProcessor
 
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.preprocessing import Preprocessor
-from rn_backend_openvla.prompt import BOS_ID, FINAL_ID
 from rn_runtime_sglang.served.models.openvla import OpenVLAForActionPrediction
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.preprocessing import Preprocessor
+from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
 
 FORMATS = ("PNG", "BMP")
 """Lossless and quick; a lossy picture would give other tokens than in process."""

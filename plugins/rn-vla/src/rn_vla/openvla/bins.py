@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.errors import UngroundedError
+from roboneuron import UngroundedError
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

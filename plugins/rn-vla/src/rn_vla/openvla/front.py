@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from rn_backend_openvla.layout import TOWER_NAMES, VisionShape
-from rn_backend_openvla.vision import Tower, gelu_in_place
+from rn_vla.openvla.layout import TOWER_NAMES, VisionShape
+from rn_vla.openvla.vision import Tower, gelu_in_place
 
 
 class Projector(nn.Module):

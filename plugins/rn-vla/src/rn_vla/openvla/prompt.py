@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tokenizers import Tokenizer
 
-from roboneuron.errors import CheckpointError
-from roboneuron.plugins.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
+from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
+from roboneuron import CheckpointError
 
 I64 = NDArray[np.int64]
 

@@ -8,10 +8,10 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_openvla.bins import ActionBins
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder
-from roboneuron.contract.decoding import PolicyModel, Prompt, TokenRequest
+from rn_vla.decoding import PolicyModel, Prompt, TokenRequest
+from rn_vla.openvla.bins import ActionBins
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -89,6 +89,6 @@ def _example(checkpoint: Checkpoint, action_width: int, prompt_tokens: int) -> T
 
 
 def _build_front(checkpoint: Checkpoint) -> object:
-    from rn_backend_openvla.front import OpenVlaFront  # heavy: torch
+    from rn_vla.openvla.front import OpenVlaFront  # heavy: torch
 
     return OpenVlaFront(checkpoint.vision)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from roboneuron.contract.decoding import DecoderShape, Weight
+from rn_vla.decoding import DecoderShape, Weight
 
 _NOT_COMPUTED = ""
 

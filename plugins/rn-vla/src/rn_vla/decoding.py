@@ -12,11 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_vla.pruning import PrunableDecoder
+from roboneuron import Acceleration, Runtime
 from roboneuron.contract.arrays import freeze
 
 F32 = NDArray[np.float32]
@@ -168,8 +170,10 @@ class RowsReply:
         freeze(self, "values", dtype=None)
 
 
-Request = TokenRequest | RowsRequest
+Request: TypeAlias = TokenRequest | RowsRequest
 """What `Runtime.run` takes for the families of language-model policies."""
+Reply: TypeAlias = TokenReply | RowsReply
+"""What it returns for them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -202,3 +206,13 @@ class PolicyModel:
     build_front: Callable[[], Any]
     build_back: Callable[[], Any] | None = None
     extra_tokens: int = 0
+
+
+LlamaRuntime: TypeAlias = Runtime[PolicyModel, Request, Reply, PrunableDecoder]
+"""A runtime of Llama-shaped decoders that answers both kinds of request."""
+TokenRuntime: TypeAlias = Runtime[PolicyModel, TokenRequest, Reply, PrunableDecoder]
+"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built with."""
+RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecoder]
+"""One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built with."""
+LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
+"""An acceleration of Llama-shaped decoders."""

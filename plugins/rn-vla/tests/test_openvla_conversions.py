@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rn_backend_openvla.bins import ActionBins
-from rn_backend_openvla.config import OpenVlaConfig
-from rn_backend_openvla.preprocessing import Preprocessor, TowerPixels
-from rn_backend_openvla.profiles import PROFILES, ActionProfile
-from rn_backend_openvla.statistics import Scaling, VectorStatistics
+from rn_vla.openvla.bins import ActionBins
+from rn_vla.openvla.options import ModelOptions
+from rn_vla.openvla.preprocessing import Preprocessor, TowerPixels
+from rn_vla.openvla.profiles import PROFILES, ActionProfile
+from rn_vla.openvla.statistics import Scaling, VectorStatistics
 from roboneuron.contract import Pose
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 
@@ -149,9 +149,9 @@ def test_tower_channels_follow_each_other():
 
 def test_an_own_profile_must_be_said_and_only_when_own(tmp_path):
     with pytest.raises(ValidationError, match="own_profile"):
-        OpenVlaConfig(checkpoint=tmp_path, profile="own")
+        ModelOptions(checkpoint=tmp_path, profile="own")
     with pytest.raises(ValidationError, match="own_profile"):
-        OpenVlaConfig(
+        ModelOptions(
             checkpoint=tmp_path,
             profile="libero",
             own_profile={
@@ -163,4 +163,4 @@ def test_an_own_profile_must_be_said_and_only_when_own(tmp_path):
             },
         )
     with pytest.raises(ValidationError, match="profile"):
-        OpenVlaConfig(checkpoint=tmp_path)
+        ModelOptions(checkpoint=tmp_path)

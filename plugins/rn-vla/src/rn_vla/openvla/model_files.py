@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rn_backend_openvla.statistics import DatasetStatistics, Key
+from rn_vla.openvla.statistics import DatasetStatistics, Key
 
 Name = Annotated[str, Field(max_length=200)]
 Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]

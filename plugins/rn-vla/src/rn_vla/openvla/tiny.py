@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rn_backend_openvla.checkpoint import Checkpoint
-from rn_backend_openvla.prompt import BOS_ID, FINAL_ID
-from roboneuron.contract.decoding import Weight
-from roboneuron.errors import ConfigurationError
+from rn_vla.decoding import Weight
+from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
+from roboneuron import ConfigurationError
 
 VOCABULARY = 32064
 _PADDED_FROM = 32000

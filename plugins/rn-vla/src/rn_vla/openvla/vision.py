@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from rn_backend_openvla.layout import TowerShape
+from rn_vla.openvla.layout import TowerShape
 
 _EPSILON = 1e-6
 

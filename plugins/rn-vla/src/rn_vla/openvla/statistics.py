@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roboneuron.errors import CheckpointError, ConfigurationError
-from roboneuron.plugins.checkpoint_files import clip, list_names
+from rn_vla.checkpoint_files import clip, list_names
+from roboneuron import CheckpointError, ConfigurationError
 
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from roboneuron.errors import CheckpointError, RoboNeuronError
+from roboneuron import CheckpointError, RoboNeuronError
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)

@@ -10,13 +10,13 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
-from rn_backend_openvla.layout import TowerShape, VisionShape, expected_weights
-from rn_backend_openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
-from rn_backend_openvla.preprocessing import TowerPixels
-from rn_backend_openvla.statistics import DatasetStatistics, Key
-from roboneuron.contract.decoding import DecoderShape, Shard
-from roboneuron.errors import CheckpointError
-from roboneuron.plugins.checkpoint_files import check_schema, clip, list_names, read_json, read_schema
+from rn_vla.checkpoint_files import check_schema, clip, list_names, read_json, read_schema
+from rn_vla.decoding import DecoderShape, Shard
+from rn_vla.openvla.layout import TowerShape, VisionShape, expected_weights
+from rn_vla.openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
+from rn_vla.openvla.preprocessing import TowerPixels
+from rn_vla.openvla.statistics import DatasetStatistics, Key
+from roboneuron import CheckpointError
 
 _DINO = TowerShape(width=1024, depth=24, heads=16, intermediate=4096, prefix_tokens=5, layer_scale=True, pooled=False)
 _SIGLIP = TowerShape(width=1152, depth=27, heads=16, intermediate=4304, prefix_tokens=0, layer_scale=False, pooled=True)

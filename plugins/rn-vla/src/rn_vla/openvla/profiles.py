@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract.observation import Pose
+from roboneuron import InvalidInputError, Pose
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
     matrix_from_rotvec,
@@ -21,7 +21,6 @@ from roboneuron.contract.rotation import (
     rotvec_from_matrix,
     rpy_from_matrix,
 )
-from roboneuron.errors import InvalidInputError
 
 F64 = NDArray[np.float64]
 RotationUnit = Literal["rotvec", "rpy"]
