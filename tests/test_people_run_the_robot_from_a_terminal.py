@@ -125,6 +125,6 @@ def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str
             bound.start()
             assert any("Stopped robot: pid" in line for line in iter(follower.stdout.readline, ""))
             bound.cancel()
-    assert process.returncode == 0
-    assert process.stderr is not None
-    assert "ending the server of this command, robot." in process.stderr.read()
+        assert process.wait(timeout=60) == 0
+        assert process.stderr is not None
+        assert "ending the server of this command, robot." in process.stderr.read()
