@@ -14,7 +14,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 _LOADS = {"src", "srcset", "data", "poster", "action"}
-_LOADING_LINKS = {"stylesheet", "icon", "preload", "preconnect", "dns-prefetch", "modulepreload", "manifest", "prefetch"}
+_LOADING_LINKS = {
+    "stylesheet",
+    "icon",
+    "preload",
+    "preconnect",
+    "dns-prefetch",
+    "modulepreload",
+    "manifest",
+    "prefetch",
+}
 _EXTERNAL = re.compile(r"^(?:https?:)?//", re.IGNORECASE)
 _IN_CSS = re.compile(r"""(?:url\(\s*|@import\s+)["']?((?:https?:)?//[^"')\s]+)""", re.IGNORECASE)
 
