@@ -6,6 +6,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 ARGS ?=
+# $(call install,what,arguments of pip install): one line with the time it took; all that pip said if it fails.
+install = @printf '  %-52s ' '$(1)'; begun=$$(date +%s); \
+  if $(PIP) $(2) > $(VENV)/.pip.log 2>&1; then echo "$$(($$(date +%s) - begun)) s"; \
+  else echo failed; cat $(VENV)/.pip.log; exit 1; fi
 PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
@@ -93,12 +97,16 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
-	@echo "Setting up $(VENV) (once, about two minutes) ..."
-	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(DEMO_PACKAGES))
+	@echo "Setting up $(VENV) (once, about two minutes):"
+	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
+	$(call install,simulated robot$(comma) controller$(comma) backend$(comma) demo,--constraint constraints.txt \
+	  $(addprefix --editable ,$(DEMO_PACKAGES)))
 	@touch $@
 
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
-	$(PIP) --constraint constraints.txt --editable roboneuron-core --editable plugins/rn-robot-bases
+	@echo "Setting up $(VENV) for the bases:"
+	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
+	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases)
 	@touch $@
 
 $(VENV)/.docs: constraints.txt | $(BIN)/python
@@ -107,9 +115,11 @@ $(VENV)/.docs: constraints.txt | $(BIN)/python
 
 # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
 $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
-	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes) ..."
-	$(PIP) torch==2.13.0
-	$(PIP) --constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)) \
+	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes):"
+	$(call install,PyTorch,torch==2.13.0)
+	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
+	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
+	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers mujoco
+	  ros-jazzy-test-msgs transformers mujoco)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases

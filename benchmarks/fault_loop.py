@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from plugin_site import installed
+from shared_memory import repaired
 
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
@@ -181,7 +182,8 @@ def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[C
         try:
             link = supervisor.link
             witness = JointWitness(link.node, link.on_executor, config.namespace)
-            yield ClosedLoop(config, PluginCatalogue(), supervisor), witness
+            with repaired(supervisor):
+                yield ClosedLoop(config, PluginCatalogue(), supervisor), witness
         finally:
             supervisor.close()
 

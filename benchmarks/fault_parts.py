@@ -100,8 +100,9 @@ class SteadyBackend(HungryBackend):
         assert observation.ee_pose is not None
         stamp_s = observation.frames["primary"].stamp_ns / 1e9
         target_m = self._centre_m + 0.06 * math.sin(2 * math.pi * stamp_s / PERIOD_S)
-        chunk.actions[0, 0] = np.clip(target_m - observation.ee_pose.position_m[0], -0.003, 0.003)
-        return chunk
+        actions = chunk.actions.copy()
+        actions[0, 0] = np.clip(target_m - observation.ee_pose.position_m[0], -0.003, 0.003)
+        return replace(chunk, actions=actions)
 
 
 def set_clock(mode: str, process: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from plugin_site import installed
+from shared_memory import repaired
 
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
@@ -157,6 +158,7 @@ def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iter
             loop.start_perception(None, (), {}, quiet)
             loop.start_control(None, {}, quiet)
             loop.start_inference(InferenceRequest(instruction="move on"), quiet)
-            yield loop, witness
+            with repaired(supervisor):
+                yield loop, witness
         finally:
             supervisor.close()

@@ -21,6 +21,7 @@ CONFIG = """
 name = "fr3"
 [server]
 {server}
+[http]
 tokens = [{{ name = "boss", role = "admin", variable = "THE_ADMINS_TOKEN" }}]
 [supervisor]
 start_timeout_s = 30.0

@@ -17,10 +17,11 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
 PLUGINS = ROOT / "plugins"
 
-LIGHT = {"errors"}
+LIGHT = {"errors", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "log_files": set(),
     "contract": LIGHT,
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
@@ -40,7 +41,9 @@ ROS_ROOMS = {"ros", "modules", "interfaces"}
 """Where rclpy may be imported."""
 FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
 """Rooms of the core that plugins may import."""
-FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"}
+FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"} | {
+    *("cli", "log_files", "ros"),  # commands: their connection to a server, /diagnostics and the logs
+}
 """What features and commands may import besides."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}

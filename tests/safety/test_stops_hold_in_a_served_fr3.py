@@ -80,9 +80,9 @@ class ServedArm:
         return len(recent) > 5 and max(recent) < STILL_RAD_S
 
     def move_away(self) -> threading.Thread:
-        """A long motion of the first joint, by a call that goes on."""
-        target = 1.2 if self.position[0] < 0 else -1.2
-        arguments = {"positions": {"fr3_joint1": target}, "duration_s": 8.0}
+        """A long turn of the wrist, which leaves the workspace nowhere, by a call that goes on."""
+        target = 2.2 if self.position[6] < 0 else -2.0
+        arguments = {"positions": {"fr3_joint7": target}, "duration_s": 8.0}
         thread = threading.Thread(target=lambda: self.answer("move_joints", **arguments))
         thread.start()
         return thread
@@ -129,14 +129,14 @@ def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> Non
         place = arm.position.copy()
         time.sleep(1.0)  # what is looked for is that nothing happens
         assert np.abs(arm.position - place).max() < 0.01
-        assert abs(place[0]) < 1.15, "it was on its way"
+        assert abs(place[6]) < 1.9, "it was on its way"
     finally:
         os.kill(server, signal.SIGCONT)
     call.join(30.0)
     assert not call.is_alive()
     assert np.abs(arm.position - place).max() < 0.01, "a server that lives again does not take the motion up again"
     wait(lambda: arm.robot()["dropped_by"].get("server_silent", 0) >= 1, 3.0, "the status says why")
-    moved = arm.do("move_joints", positions={"fr3_joint1": float(place[0]) + 0.2})
+    moved = arm.do("move_joints", positions={"fr3_joint7": float(place[6]) + 0.2})
     assert moved["error"] < 0.01
 
 
@@ -149,7 +149,7 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     place = arm.position.copy()
     shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again while it is removed
     wait((arm.state / FILE_NAME).exists, 2.0, "the latch is written again")
-    answer = arm.answer("move_joints", positions={"fr3_joint1": -float(np.sign(place[0]))})
+    answer = arm.answer("move_joints", positions={"fr3_joint7": -float(np.sign(place[6]))})
     assert answer.is_error
     assert "latched" in answer.content[0].text
     assert json.loads((arm.state / FILE_NAME).read_text())["restored"] >= 1
@@ -166,8 +166,8 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     assert "Only a person releases" in refused.content[0].text
     arm.release()
     wait(lambda: not arm.do("get_status")["emergency_stop"], 3.0, "it is released")
-    target = float(place[0]) - 0.2 * float(np.sign(place[0]))
-    assert arm.do("move_joints", positions={"fr3_joint1": target})["error"] < 0.01
+    target = float(place[6]) - 0.2 * float(np.sign(place[6]))
+    assert arm.do("move_joints", positions={"fr3_joint7": target})["error"] < 0.01
 
 
 def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(arm: ServedArm, wait: Wait) -> None:

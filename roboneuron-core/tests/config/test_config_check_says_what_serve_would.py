@@ -85,11 +85,7 @@ def check(tmp_path: Path, text: str) -> int:
             '[robot]\nname = "fr3"\n[[expose]]\nname = "x"\nkind = "read"\ntopic = "t"\ntype = "std_msgs/msg/Nope"\n',
             "std_msgs/msg/Nope",
         ),
-        (
-            '[robot]\nname = "fr3"\n[server]\ntransport = "http"\n'
-            'tokens = [{ name = "x", role = "admin", variable = "NOT_SET_AT_ALL" }]\n',
-            "NOT_SET_AT_ALL, which is not set",
-        ),
+        ('[robot]\nname = "fr3"\n[server]\ntransport = "htpt"\n', "transport = 'htpt': There is no feature 'htpt'."),
     ],
 )
 def test_the_command_fails_with_the_reason(

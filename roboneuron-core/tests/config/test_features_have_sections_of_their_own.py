@@ -86,3 +86,13 @@ def test_modules_are_not_told_the_sections_of_features():
     again = ModuleSettings.model_validate_json(settings.model_dump_json())
     assert again.config.sections == {}
     assert again.config.robot == config.robot
+
+
+def test_the_section_of_a_package_that_is_absent_names_the_package():
+    with pytest.raises(ConfigurationError, match=r"'http' belongs to a feature of rn-serve-http.* Run: pip install"):
+        parse_config(f"{ROBOT}[http]\nport = 1\n", registry=REGISTRY)
+
+
+def test_a_key_that_moved_to_a_feature_is_told_where():
+    with pytest.raises(ConfigurationError, match=r"'server.port' is now 'http.port': write it under \[http\]"):
+        parse_config(f"{ROBOT}[server]\nport = 1\n")

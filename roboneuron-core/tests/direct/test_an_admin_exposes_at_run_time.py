@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 from mcp import Client
 
+from roboneuron import Feature, FeatureSpec
 from roboneuron.config import ExposeConfig
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError, StateError
 from roboneuron.server.app import Application
 from roboneuron.server.direct.exposing import Admin
+from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[..., Application]
 LOCAL = """
@@ -31,9 +35,15 @@ type = "geometry_msgs/msg/Twist"
 bounds = { "linear.x" = [-0.5, 0.5] }
 stop_message = "zero"
 """
-TOKEN = '[[server.tokens]]\nname = "chief"\nrole = "admin"\nvariable = "T"\n'
+TOKENS = FeatureSpec(name="tokens", summary="Identifies clients.", target="tokens_of_this_test:Tokens")
 HORN = {"name": "horn", "kind": "publish", "topic": "horn", "type": "std_msgs/msg/Bool", "rate_hz": 2.0}
 ADMIN = Admin(who="chief", role="admin", tool="expose_endpoint", arguments={})
+
+
+class Tokens(Feature[None]):
+    """A transport whose clients have tokens."""
+
+    identifies_clients = True
 
 
 def names(application: Application) -> set[str]:
@@ -44,11 +54,14 @@ def records(application: Application) -> list[dict[str, Any]]:
     return [json.loads(line) for line in application.direct.gate.audit.path.read_text().splitlines()]
 
 
-def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_otherwise(make_application: Make) -> None:
+def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_otherwise(
+    make_application: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tokens_of_this_test", SimpleNamespace(Tokens=Tokens))
     bare = '[robot]\nname = "rover"\n'
     assert "expose_endpoint" not in names(make_application(bare))
     assert {"expose_endpoint", "unexpose_endpoint"} <= names(make_application(LOCAL))
-    with_token = make_application(bare + TOKEN)
+    with_token = make_application(bare, fake_registry(TOKENS))
     assert "expose_endpoint" in names(with_token)
     assert "expose_endpoint" not in {tool.name for tool in with_token.tools.listing("operator")}
 

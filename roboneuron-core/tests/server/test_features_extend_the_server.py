@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import anyio
 import pytest
+from mcp import Client
 
 from roboneuron import CallContext, Feature, FeatureSpec, Host, NoArguments, Resource, Result, StateError, Tool
 from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError, RoboNeuronError
+from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.server.app import Application
+from roboneuron.server.feature import Transport
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.testing.fakes import fake_registry
@@ -58,6 +61,29 @@ class Dependent(Feature[None]):
         with pytest.raises(StateError):
             host.feature("odometer", Dependent)
         return []
+
+
+class Pigeons(Feature[None]):
+    """Serves a transport, knows its clients, and lets nobody act on Mondays."""
+
+    identifies_clients = True
+
+    def check(self, config: Config) -> None:
+        if config.features:
+            raise ConfigurationError("There is no loft.")
+
+    def tools(self, host: Host) -> list[Tool[Any]]:
+        def admit(tool: object, context: CallContext) -> None:
+            raise RefusedError(f"It is Monday, {context.who}.")
+
+        host.tools.add_admission(admit)
+        return []
+
+    def listen(self, host: Host) -> Transport:
+        async def serve(leave: anyio.Event) -> None:
+            TRACE.append(f"serve {host.server.name}")
+
+        return serve
 
 
 class BadTools(Feature[None]):
@@ -156,3 +182,52 @@ def test_a_feature_that_the_configuration_asks_for_must_work(make):
         make(spec(BadTools, "bad"), features=["bad"])
     with pytest.raises(ConfigurationError, match="There is no feature 'evaluatio'"):
         make(spec(Odometer), features=["evaluatio"])
+
+
+PIGEON = {"server": {"transport": "pigeon", "name": "loft"}}
+
+
+def test_a_feature_serves_the_transport_that_is_configured(make):
+    pigeons = spec(Pigeons, "pigeons", transports=("pigeon",))
+    application = make(pigeons, **PIGEON)
+    serve = application.features.listen(application.host)
+    assert serve is not None
+    anyio.run(serve, anyio.Event())
+    assert TRACE == ["serve loft"]
+    assert application.host.identifies_clients
+    beside = make(pigeons)
+    assert beside.features.listen(beside.host) is None, "stdio is core's"
+    assert not make().host.identifies_clients
+
+
+@pytest.mark.parametrize(
+    ("specs", "transport", "words"),
+    [
+        ((), "http", r"'http'.* the package rn-serve-http brings it.* pip install ./plugins/rn-serve-http"),
+        ((), "pigeon", "There is no feature 'pigeon'"),
+        ((spec(Odometer),), "odometer", "choose one of: stdio"),
+        ((spec(BadTools, "x", transports=("bad",)),), "bad", "two tools called"),
+    ],
+)
+def test_a_transport_that_nothing_serves_is_refused(make, specs, transport, words):
+    with pytest.raises(RoboNeuronError, match=words):
+        make(*specs, server={"transport": transport})
+
+
+def test_what_a_feature_finds_wrong_is_told_before_anything_is_served(make):
+    make(spec(Pigeons)).features.check()
+    with pytest.raises(ConfigurationError, match="There is no loft"):
+        make(spec(Pigeons), features=("odometer",)).features.check()
+
+
+def test_a_feature_admits_calls(make):
+    application = make(spec(Pigeons))
+
+    async def ask() -> Any:
+        async with Client(application.server) as client:
+            return await client.call_tool("list_robots", {})
+
+    application.tools._ready = None  # no ROS here
+    answer = anyio.run(ask)
+    assert answer.is_error
+    assert "It is Monday, agent on stdio." in answer.content[0].text

@@ -15,6 +15,7 @@ from roboneuron.log_files import PlainFormatter, escaped
 from roboneuron.server.incidents import Incidents
 from roboneuron.server.own_log import OwnLog
 from roboneuron.server.records import parse_entries
+from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.process import Spawner
 
 FORGED = "x\n2026-01-01 00:00:00,000 INFO roboneuron.gate: allowed"
@@ -37,7 +38,7 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     log.open()
     logging.getLogger("t").warning("x")
     log.close()
-    spawner = Spawner()
+    spawner = Spawner(ProcessObservers())
     process = spawner.spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log")
     process.reap(lambda _: None)
     assert process.wait(20)

@@ -24,7 +24,7 @@ TOOLS = {
     *("get_status", "get_camera_image", "emergency_stop", "reset_emergency_stop"),
     *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
     *("list_accelerations", "list_interfaces", "describe_interface", "list_topics", "list_nodes"),
-    *("get_logs", "list_incidents", "take_over", "heartbeat"),
+    *("get_logs", "list_incidents"),
     *("move_ee", "read_joint_states"),  # derived from the robot's profile
 }
 

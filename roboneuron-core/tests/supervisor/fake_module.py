@@ -14,7 +14,7 @@ import time
 
 from roboneuron.errors import CheckpointError, UngroundedError
 from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings, StatusKey
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings
 from roboneuron.modules.signals import Signals
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
@@ -82,13 +82,13 @@ class FakeModule(Module):
             text = str(parameter.value)  # type: ignore[attr-defined]
             self.count = getattr(self, "count", 0) + 1
             self.status.clear_error()
-            self.status.set_value(StatusKey.INSTRUCTION, text)
-            self.status.set_value(StatusKey.INSTRUCTION_COUNT, self.count)
-            self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 0)
+            self.status.set(instruction=text)
+            self.status.set(instruction_count=self.count)
+            self.status.set(actions_for_instruction=0)
             if "unicorn" in text:
                 self.status.set_error(UngroundedError(f"Nothing here is what {text!r} names."))
             elif text:
-                self.status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 3)
+                self.status.set(actions_for_instruction=3)
             self.status.changed.set()
         return SetParametersResult(successful=True)
 

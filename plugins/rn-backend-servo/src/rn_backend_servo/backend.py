@@ -91,6 +91,7 @@ class ServoBackend:
                 "remaining_m": motion.remaining_m,
                 "failed_attempts": float(episode.attempts),
                 "is_visible": float(sighting is not None),
+                "done": float(episode.phase is Phase.HOLD),
                 "misfit_px": sighting.estimate.misfit_px if sighting else 0.0,
             },
             note=f"{episode.phase.value} {colour} cube",

@@ -34,19 +34,18 @@ def run(arguments: Namespace) -> int:
 
 def _check(path: Path) -> None:
     """Refuse what `roboneuron serve` would refuse at its start, but for the address it listens on."""
-    import os
-
     from roboneuron.config import load_config
     from roboneuron.plugins.discovery import discover
     from roboneuron.server.app import Application  # heavy
     from roboneuron.server.selection import check_configuration
-    from roboneuron.server.tokens import read_tokens
 
     config = load_config(path)
     check_configuration(config, discover(config.disabled_plugins))
-    if config.server.transport == "http":
-        read_tokens(config.server.tokens, os.environ)
-    Application(config).close()  # derives the tools of [[expose]]
+    application = Application(config)  # derives the tools of [[expose]]
+    try:
+        application.features.check()
+    finally:
+        application.close()
     print(f"{path} is valid: robot {config.robot.name!r}, namespace /{config.namespace}.")
 
 
@@ -82,7 +81,7 @@ def reference() -> str:
         "",
         "`roboneuron serve --config roboneuron.toml` reads one TOML file. An unknown key or a wrong unit is an error",
         "that names the file, the key and the nearest valid one. `roboneuron config check FILE` checks what `serve`",
-        "checks at its start: keys, names of plugins and drivers, their options, `[[expose]]`, and for HTTP tokens.",
+        "checks at its start: keys, names of plugins and drivers, their options, `[[expose]]`, tokens for HTTP.",
         "Without a file the embedded default is used (`roboneuron config show`):",
         "",
         "```toml",

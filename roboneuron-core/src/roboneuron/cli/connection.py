@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from roboneuron.cli.terminal import log_level
 from roboneuron.client import leaves_of, spawned_server
 from roboneuron.errors import ConfigurationError
 from roboneuron.ros.environment import CLIENT_TOKEN
@@ -38,7 +39,8 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
         ConfigurationError: there is no such server, it refuses the token, or the token's variable is not set.
     """
     if arguments.url is None:
-        options = ["--log-level", "error"]
+        level = log_level(arguments)
+        options = ["--log-level", "error" if level == "warning" else level]  # its warnings also reach us as answers
         if arguments.config is not None:
             options += ["--config", str(arguments.config)]
         async with spawned_server(options) as client:

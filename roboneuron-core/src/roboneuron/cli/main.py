@@ -9,7 +9,14 @@ from difflib import get_close_matches
 
 from roboneuron import __version__
 from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
-from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error
+from roboneuron.cli.terminal import (
+    EXIT_USAGE,
+    accept_any_text,
+    add_verbosity,
+    apply_verbosity,
+    show_error,
+    with_verbosity_behind,
+)
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 
@@ -40,7 +47,7 @@ def build_parser(registry: Registry) -> ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status."""
     accept_any_text()
-    words = list(sys.argv[1:] if argv is None else argv)
+    words = with_verbosity_behind(sys.argv[1:] if argv is None else argv)
     if not words or words[0].startswith("-"):
         parser = build_parser(discover())
         parser.parse_args(words)  # --help and --version end here
@@ -58,7 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         module = load_command(name, registry)
         command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
         module.configure(command_parser)
-        return module.run(command_parser.parse_args(rest))
+        add_verbosity(command_parser)
+        arguments = command_parser.parse_args(rest)
+        apply_verbosity(arguments)
+        return module.run(arguments)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return EXIT_OK

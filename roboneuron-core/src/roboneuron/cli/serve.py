@@ -10,6 +10,7 @@ from roboneuron.log_files import begin_logging
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
+    from roboneuron.plugins.registry import Registry
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -18,10 +19,10 @@ def configure(parser: ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it"
     )
     parser.add_argument(
-        "--transport", choices=["stdio", "http"], help="how clients connect; `server.transport` without it"
+        "--transport", metavar="NAME", help="how clients connect: stdio, http ...; `server.transport` without it"
     )
-    parser.add_argument("--host", help="address that http listens on; `server.host` without it")
-    parser.add_argument("--port", type=int, help="port of http, 0 for any free one; `server.port` without it")
+    parser.add_argument("--host", help="address that http listens on; `http.host` without it")
+    parser.add_argument("--port", type=int, help="port of http, 0 for any free one; `http.port` without it")
     parser.add_argument(
         "--log-level", choices=["debug", "info", "warning", "error"], default="info", help="of the log on stderr"
     )
@@ -36,30 +37,35 @@ def run(arguments: Namespace) -> int:
     from roboneuron.config import load_config
 
     config = with_server(load_config(arguments.config), arguments)
-    if config.server.transport == "http":
-        from roboneuron.server.http import serve_http  # heavy
+    from roboneuron.server.serving import serve  # heavy
 
-        serve_http(config)
-        return 0
-    from roboneuron.server.app import serve_stdio  # heavy
-
-    serve_stdio(config, wire)
+    serve(config, wire)
     return 0
 
 
-def with_server(config: Config, arguments: Namespace) -> Config:
+def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
     """The configuration with what the command line says about the server.
 
     Raises:
-        ConfigurationError: the port is none, or an address is given for stdio.
+        ConfigurationError: nothing serves the transport, or it does not take that address.
     """
+    from roboneuron.config.features import STDIO, check_sections, transport_feature
     from roboneuron.errors import ConfigurationError
+    from roboneuron.plugins.discovery import discover
 
-    names = ("transport", "host", "port")
-    chosen = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    if not 0 <= chosen.get("port", 0) <= 65535:
-        raise ConfigurationError(f"--port {chosen['port']} is not a port: 0 to 65535.")
-    section = config.server.model_copy(update=chosen)
-    if section.transport == "stdio" and ("host" in chosen or "port" in chosen):
+    if arguments.transport is not None:
+        server = config.server.model_copy(update={"transport": arguments.transport})
+        config = config.model_copy(update={"server": server})
+    address = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
+    if not address:
+        return config
+    if config.server.transport == STDIO:
         raise ConfigurationError("--host and --port are for http.", hint="Add --transport http.")
-    return config.model_copy(update={"server": section})
+    registry = registry or discover(config.disabled_plugins)
+    keys = transport_feature(config.server.transport, registry).keys
+    if not keys:
+        raise ConfigurationError(f"The transport {config.server.transport!r} takes no --host and no --port.")
+    section = {**config.sections.get(keys[0], {}), **address}
+    config = config.model_copy(update={"sections": {**config.sections, keys[0]: section}})
+    check_sections(config, registry, "the command line")
+    return config

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import codecs
+import logging
 import os
+import re
 import sys
+from argparse import SUPPRESS, ArgumentError, ArgumentParser, Namespace, _SubParsersAction
+from collections.abc import Sequence
+from contextlib import suppress
 from io import TextIOWrapper
 
 from roboneuron.errors import RoboNeuronError
+from roboneuron.log_files import begin_logging
 
 TRACEBACK_VARIABLE = "ROBONEURON_TRACEBACK"
 """Environment variable: when set, an unexpected error is shown with its traceback."""
@@ -16,6 +22,8 @@ EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_INTERNAL = os.EX_SOFTWARE
 """A defect of RoboNeuron."""
+LOG_LEVELS = ("debug", "info", "warning", "error")
+_QUIETNESS = re.compile(r"-v+|-q+|--verbose|--quiet")
 _PLAIN = {"✓": "+", "✗": "x", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "“": '"', "”": '"', "°": "deg", "µ": "u"}
 """What stands for a letter that the terminal's encoding lacks; a question mark for all others."""
 
@@ -32,6 +40,45 @@ def _replace(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+
+
+def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
+    """Add -v and -q to a command's parser and to those of its subcommands; options of the command itself win."""
+    for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
+        with suppress(ArgumentError):
+            parser.add_argument(
+                short, name, action="count", default=default, help=f"log {meaning} to standard error; may be repeated"
+            )
+    for action in parser._actions:
+        if isinstance(action, _SubParsersAction):
+            for subparser in action.choices.values():
+                add_verbosity(subparser, SUPPRESS)  # with a default it would undo what stands before the subcommand
+
+
+def with_verbosity_behind(words: Sequence[str]) -> list[str]:
+    """The command line with -v and -q that stand before the command's name behind it."""
+    first = next((i for i, word in enumerate(words) if not _QUIETNESS.fullmatch(word)), 0)
+    return [*words[first : first + 1], *words[:first], *words[first + 1 :]]
+
+
+def log_level(arguments: Namespace, level: str = "warning") -> str:
+    """`level`, made lower by each -v and higher by each -q."""
+    steps = _count(arguments, "quiet") - _count(arguments, "verbose")
+    return LOG_LEVELS[min(max(LOG_LEVELS.index(level) + steps, 0), len(LOG_LEVELS) - 1)]
+
+
+def apply_verbosity(arguments: Namespace) -> None:
+    """Log to standard error as -v and -q say; a command with --log-level begins its log itself."""
+    if isinstance(level := getattr(arguments, "log_level", None), str):
+        arguments.log_level = log_level(arguments, level)
+    elif _count(arguments, "quiet") or _count(arguments, "verbose"):
+        begin_logging(log_level(arguments).upper())
+        logging.captureWarnings(True)
+
+
+def _count(arguments: Namespace, name: str) -> int:
+    value = getattr(arguments, name, 0)
+    return value if isinstance(value, int) else 0
 
 
 def show_error(error: BaseException) -> int:

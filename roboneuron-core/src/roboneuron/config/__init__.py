@@ -12,7 +12,7 @@ from roboneuron.config.modules import (
 )
 from roboneuron.config.reading import EMBEDDED_DEFAULT, default_text, load_config, parse_config
 from roboneuron.config.section import Reaction
-from roboneuron.config.serving import DirectConfig, DiscoverConfig, ExposeConfig, ServerConfig, TokenConfig
+from roboneuron.config.serving import DirectConfig, DiscoverConfig, ExposeConfig, ServerConfig
 from roboneuron.config.whole import Config
 
 __all__ = [
@@ -29,7 +29,6 @@ __all__ = [
     "RobotConfig",
     "ServerConfig",
     "SupervisorConfig",
-    "TokenConfig",
     "ZoneConfig",
     "default_text",
     "load_config",

@@ -10,6 +10,12 @@ from pydantic import BaseModel, ValidationError
 
 from roboneuron.errors import ConfigurationError
 
+MOVED = {
+    f"server.{key}": f"http.{key}"
+    for key in ("host", "port", "allowed_hosts", "allowed_origins", "lease_s", "max_request_bytes", "tokens")
+}
+"""Where keys of earlier versions are now."""
+
 
 def explain(error: ValidationError, root: type[BaseModel], source: str, section: str = "") -> ConfigurationError:
     """The error for people.
@@ -23,7 +29,9 @@ def explain(error: ValidationError, root: type[BaseModel], source: str, section:
     lines = []
     for item in error.errors(include_url=False):
         key = ".".join([*([section] if section else []), *(str(part) for part in item["loc"])])
-        if item["type"] == "extra_forbidden":
+        if item["type"] == "extra_forbidden" and key in MOVED:
+            lines.append(f"{source}: {key!r} is now {MOVED[key]!r}: write it under [{MOVED[key].partition('.')[0]}].")
+        elif item["type"] == "extra_forbidden":
             lines.append(unknown_key(source, key, _valid_keys(root, item["loc"])))
         elif item["type"] == "missing":
             lines.append(f"{source}: {key!r} is missing.")

@@ -10,10 +10,13 @@ from roboneuron.config.explaining import explain, unknown_key
 from roboneuron.config.whole import Config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.packages import install_command, package_of
 from roboneuron.plugins.record import Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
+STDIO = "stdio"
+"""The transport of core."""
 KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
 """Top-level keys of core."""
 
@@ -28,6 +31,12 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
     owners = {key: offer for offer in registry.offers("feature") for key in _spec(offer.spec).keys}
     for key in config.sections:
         if key not in owners:
+            package = package_of("feature", key.replace("_", "-"))
+            if package is not None:
+                raise ConfigurationError(
+                    f"{source}: the section {key!r} belongs to a feature of {package}, which is not installed.",
+                    hint=f"Run: {install_command(package)}.",
+                )
             error = unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
                 error, hint="If it belongs to a feature, that is not installed: see `roboneuron plugins list`."
@@ -62,6 +71,23 @@ def feature_options(spec: FeatureSpec, config: Config, source: str = "roboneuron
         return model.model_validate(raw)
     except ValidationError as error:
         raise explain(error, model, source, section) from error
+
+
+def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
+    """The feature that serves a transport.
+
+    Raises:
+        ConfigurationError: there is none; says which package brings it.
+    """
+    served = {name: spec for spec in registry.specs("feature").values() for name in spec.transports}
+    if transport in served:
+        return served[transport]
+    try:
+        registry.get("feature", transport)  # by convention it is called as the transport: says why it is not there
+    except ConfigurationError as error:
+        raise ConfigurationError(f"transport = {transport!r}: {error.message}", hint=error.hint) from error
+    choices = ", ".join([STDIO, *served])
+    raise ConfigurationError(f"transport = {transport!r}: nothing serves it; choose one of: {choices}.")
 
 
 def _spec(spec: object) -> FeatureSpec:

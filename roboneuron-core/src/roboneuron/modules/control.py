@@ -256,7 +256,7 @@ class ControlModule(Module):
         self._holding = self._hold_is_due = False
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
-        self.status.set_value("note", "following actions")
+        self.status.set(note="following actions")
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
 
@@ -279,7 +279,7 @@ class ControlModule(Module):
         """
         if not self._is_our_turn():
             return
-        self.status.set_value("note", f"holding: {reason}")
+        self.status.set(note=f"holding: {reason}")
         self.status.set_value("hold_code", code)
         if self._holding:
             return

@@ -23,7 +23,7 @@ from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import ACT_FROM, INSTRUCTION_PARAMETER, NEVER_NS, TURN_PARAMETERS, StatusKey
+from roboneuron.modules.settings import ACT_FROM, INSTRUCTION_PARAMETER, NEVER_NS, TURN_PARAMETERS
 from roboneuron.modules.turn import Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import check_plan
@@ -210,7 +210,7 @@ class InferenceModule(Module):
                 )
             return
         if self._turn.is_over(self._inputs.captured_ns(observation)):
-            self.status.set_value(StatusKey.NOTE, "handed over to the successor")
+            self.status.set(note="handed over to the successor")
             return
         self._act(observation, stop)
 
@@ -220,7 +220,7 @@ class InferenceModule(Module):
         assert self._inputs is not None
         count, instruction = self._instruction.count, self._instruction.text
         if not instruction:
-            self.status.set_value(StatusKey.NOTE, "waiting for an instruction")
+            self.status.set(note="waiting for an instruction")
             self.status.set_ready()
             return
         if self._instruction.is_new:
@@ -237,10 +237,10 @@ class InferenceModule(Module):
             self.status.set_value(f"backend.{name}", float(value))
         self._check_age(observation, took_s)
         if not self._turn.is_shadow(self._inputs.captured_ns(observation)):
-            self.status.set_value(StatusKey.NOTE, chunk.note)
+            self.status.set(note=chunk.note)
             self._play(chunk, observation, count, stop)
             return
-        self.status.set_value(StatusKey.NOTE, "in shadow")
+        self.status.set(note="in shadow")
         self.status.set_value("shadow_action", ",".join(f"{value:.5g}" for value in chunk.actions[0]))
         self._shadow_count += 1
         self.status.set_value("shadow_count", self._shadow_count)

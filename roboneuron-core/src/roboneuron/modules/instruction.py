@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rclpy.parameter import Parameter
 
-from roboneuron.modules.settings import StatusKey
 from roboneuron.modules.status import ModuleStatus
 
 MAX_INSTRUCTION_LENGTH = 1000
@@ -40,17 +39,17 @@ class Instruction:
         self.count += 1
         self.restart()
         self._status.clear_error()
-        self._status.set_value(StatusKey.INSTRUCTION, self.text)
-        self._status.set_value(StatusKey.INSTRUCTION_COUNT, self.count)
+        self._status.set(instruction=self.text)
+        self._status.set(instruction_count=self.count)
         self._status.changed.set()
 
     def restart(self) -> None:
         """Begin with the same instruction again."""
         self._actions = 0
         self.is_new = True
-        self._status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, 0)
+        self._status.set(actions_for_instruction=0)
 
     def note_action(self) -> None:
         """Count one published action."""
         self._actions += 1
-        self._status.set_value(StatusKey.ACTIONS_FOR_INSTRUCTION, self._actions)
+        self._status.set(actions_for_instruction=self._actions)

@@ -19,7 +19,7 @@ from roboneuron.errors import InternalError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.priority import restore
 from roboneuron.modules.requests import RequestGuard
-from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings, StatusKey
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
@@ -70,7 +70,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.settings = settings
         self.status = ModuleStatus(settings.status_name)
         self.stopped = False
-        self.status.set_value(StatusKey.EMERGENCY_STOP, False)
+        self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
         self._latch = EmergencyStopLatch(Path(settings.state_directory) / FILE_NAME, time.time_ns)
@@ -234,5 +234,5 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             return
         self.stopped = stopped
         self.module.emergency_stop(self.stopped)
-        self.status.set_value(StatusKey.EMERGENCY_STOP, self.stopped)
+        self.status.set(emergency_stop=self.stopped)
         self.status.changed.set()

@@ -13,7 +13,6 @@ from roboneuron.contract import CameraProfile, PerceptionSource
 from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import StatusKey
 from roboneuron.modules.turn import Turn
 from roboneuron.modules.worker import Worker
 from roboneuron.plugins.discovery import discover
@@ -117,7 +116,7 @@ class PerceptionModule(Module):
             self.status.output.tick()
             self._note_published(frame.camera, time.time_ns())
         self.status.latency.add((self._topics.now_ns() - frame.stamp_ns) / 1e6)
-        self.status.set_value(f"{StatusKey.AGE_MS}.{frame.camera}", (self._topics.now_ns() - frame.stamp_ns) / 1e6)
+        self.status.set_value(f"age_ms.{frame.camera}", (self._topics.now_ns() - frame.stamp_ns) / 1e6)
         self.status.clear_error()
         if self._missing:
             self._missing.discard(frame.camera)

@@ -125,7 +125,7 @@ class RobotModule(Module):
         self._is_server_silent = is_silent
         if is_silent and self._active:
             self.status.dropped.add("server_silent")
-            self.status.set_value("note", f"holding: no sign of life of the server for {bound_s:g} s")
+            self.status.set(note=f"holding: no sign of life of the server for {bound_s:g} s")
             self._drop_and_hold()
 
     def _must_hold(self) -> str:
@@ -197,7 +197,7 @@ class RobotModule(Module):
             return
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
-        self.status.set_value("note", "moving")
+        self.status.set(note="moving")
         self._player.limit_s = sent.duration_s + LIMIT_S
         self._player.progress()
         with self._arrived:
@@ -209,7 +209,7 @@ class RobotModule(Module):
             assert self._driver is not None
             self._driver.hold()
             self._moving = False
-            self.status.set_value("note", "holding: no command")
+            self.status.set(note="holding: no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
         assert self._driver is not None

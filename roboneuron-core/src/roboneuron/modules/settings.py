@@ -39,41 +39,6 @@ class ModuleSettings(BaseModel):
         return f"{self.config.namespace}/{self.node_name}"
 
 
-class StatusKey:
-    """Keys of the KeyValue pairs in a module's DiagnosticStatus (`hardware_id` holds the process id).
-
-    READY is "true" once the module has proved that it works: robot and perception have published a first state or
-    image, control has received a first joint state and published `ee_pose`, inference has received every input it needs
-    and, when it has an instruction, published a first action. Until then WAITING_FOR names what is missing.
-    WORK_AGE_S is the time since the module's threads last got on (the slowest of them counts), WORK_LIMIT_S what that
-    may be.
-    ERROR_* describe the newest failure and are empty again once the module works; ERROR_COUNT never goes down.
-    """
-
-    STATE = "state"
-    READY = "ready"
-    WAITING_FOR = "waiting_for"
-    ERROR_CODE = "error_code"
-    ERROR = "error"
-    ERROR_HINT = "error_hint"
-    ERROR_COUNT = "error_count"
-    UPTIME_S = "uptime_s"
-    LOOP_AGE_S = "loop_age_s"
-    WORK_AGE_S = "work_age_s"
-    WORK_LIMIT_S = "work_limit_s"
-    RATE_HZ = "rate_hz"
-    LATENCY_MS = "latency_ms"
-    LATENCY_P99_MS = "latency_p99_ms"
-    AGE_MS = "age_ms"
-    DROPPED = "dropped"
-    PUBLISHED = "published"
-    INSTRUCTION = "instruction"
-    INSTRUCTION_COUNT = "instruction_count"
-    ACTIONS_FOR_INSTRUCTION = "actions_for_instruction"
-    NOTE = "note"
-    EMERGENCY_STOP = "emergency_stop"
-
-
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
 FOREIGN_REQUEST = "foreign_request"

@@ -10,13 +10,15 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.meters import Counts, RateMeter, Samples
-from roboneuron.modules.settings import STATUS_PERIOD_S, StatusKey
+from roboneuron.modules.report import StatusReport, to_text
+from roboneuron.modules.settings import STATUS_PERIOD_S
 from roboneuron.ros.qos import STATUS
 from roboneuron.ros.topics import DIAGNOSTICS
 
@@ -39,7 +41,9 @@ class ModuleStatus:
         self._waiting_for = ""
         self._error: RoboNeuronError | None = None
         self._error_count = 0
-        self._values: dict[str, str] = {}
+        self._fields: dict[str, Any] = {}
+        self._detail: dict[str, str] = {}
+        self._metrics: dict[str, str] = {}
         self._work: dict[str, tuple[float, float]] = {}
 
     def set_state(self, state: str) -> None:
@@ -79,21 +83,20 @@ class ModuleStatus:
             self._error = None
         self.changed.set()
 
-    def set_value(self, key: str, value: str | float | int | bool) -> None:
-        """Report one more value; numbers are written with six significant digits."""
-        if isinstance(value, bool):
-            text = "true" if value else "false"
-        elif isinstance(value, float):
-            text = f"{value:.6g}"
-        else:
-            text = str(value)
+    def set(self, **fields: str | float | int | bool) -> None:
+        """Report fields of `StatusReport` by their names."""
         with self._lock:
-            self._values[key] = text
+            self._fields.update(fields)
+
+    def set_value(self, key: str, value: str | float | int | bool) -> None:
+        """Report one more value among the metrics."""
+        with self._lock:
+            self._metrics[key] = to_text(value)
 
     def set_details(self, details: Mapping[str, str]) -> None:
-        """Report texts under `detail.<key>`."""
+        """Report facts of the robot or simulator."""
         with self._lock:
-            self._values.update({f"detail.{key}": text for key, text in details.items()})
+            self._detail.update(details)
 
     def tick_work(self, worker: str, limit_s: float) -> None:
         """A thread gets on; it is stalled when it does not say so again within `limit_s`."""
@@ -109,41 +112,46 @@ class ModuleStatus:
         """The executor turned."""
         self._loop_s = self.clock()
 
-    def to_message(self) -> DiagnosticStatus:
-        """The record as a DiagnosticStatus."""
-        with self._lock:
-            error = self._error
-            values = {
-                StatusKey.STATE: self._state,
-                StatusKey.READY: "true" if self._ready else "false",
-                StatusKey.WAITING_FOR: self._waiting_for,
-                StatusKey.ERROR_CODE: error.code if error else "",
-                StatusKey.ERROR: error.message if error else "",
-                StatusKey.ERROR_HINT: error.hint if error else "",
-                StatusKey.ERROR_COUNT: str(self._error_count),
-                **self._values,
-            }
-            state = self._state
-            work = list(self._work.values())
+    def report(self) -> StatusReport:
+        """Everything, as it is now."""
         now_s = self.clock()
-        if work:
-            ticked_s, limit_s = max(work, key=lambda tick: (now_s - tick[0]) / tick[1])
-            values[StatusKey.WORK_AGE_S], values[StatusKey.WORK_LIMIT_S] = f"{now_s - ticked_s:.3f}", f"{limit_s:.3f}"
-        values[StatusKey.UPTIME_S] = f"{now_s - self._started_s:.1f}"
-        values[StatusKey.LOOP_AGE_S] = f"{now_s - self._loop_s:.3f}"
-        values[StatusKey.RATE_HZ] = f"{self.output.rate_hz():.2f}"
-        values[StatusKey.PUBLISHED] = str(self.output.total)
-        values[StatusKey.DROPPED] = str(self.dropped.total())
-        values.update({f"dropped.{name}": str(count) for name, count in self.dropped.items().items()})
-        latency = self.latency.median_and_p99()
-        if latency is not None:
-            values[StatusKey.LATENCY_MS], values[StatusKey.LATENCY_P99_MS] = (f"{v:.3f}" for v in latency)
+        dropped = self.dropped.items()
+        latency = self.latency.median_and_p99() or (None, None)
+        with self._lock:
+            slowest = max(self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None)
+            return StatusReport(
+                state=self._state,
+                ready=self._ready,
+                waiting_for=self._waiting_for,
+                error_code=self._error.code if self._error else "",
+                error=self._error.message if self._error else "",
+                error_hint=self._error.hint if self._error else "",
+                error_count=self._error_count,
+                uptime_s=round(now_s - self._started_s, 1),
+                loop_age_s=round(now_s - self._loop_s, 3),
+                work_age_s=None if slowest is None else round(now_s - slowest[0], 3),
+                work_limit_s=None if slowest is None else slowest[1],
+                rate_hz=round(self.output.rate_hz(), 2),
+                latency_ms=latency[0],
+                latency_p99_ms=latency[1],
+                published=self.output.total,
+                dropped=sum(dropped.values()),
+                dropped_by=dropped,
+                detail=dict(self._detail),
+                metrics=dict(self._metrics),
+                **self._fields,
+            )
+
+    def to_message(self) -> DiagnosticStatus:
+        """The report as a DiagnosticStatus."""
+        report = self.report()
+        failure = report.failure()
         return DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if error else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if failure else DiagnosticStatus.OK,
             name=self.name,
-            message=str(error) if error else state,
+            message=str(failure) if failure else report.state,
             hardware_id=str(os.getpid()),
-            values=[KeyValue(key=key, value=text) for key, text in values.items()],
+            values=[KeyValue(key=key, value=text) for key, text in report.to_values().items()],
         )
 
 

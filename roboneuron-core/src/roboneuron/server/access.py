@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.server.tool import CallContext, DerivedTool, Tool
 
-_PROCESS = re.compile(r" pid ([0-9]+)\b")
 HOLDER_KEY = "roboneuron.holder"
-"""Where the HTTP border leaves the Holder in the ASGI scope of a request."""
+"""Where a transport of a feature leaves the Holder in the scope of a request."""
+CONNECTION_KEY = "roboneuron.connection"
+"""Where it leaves the WatchedConnection of a request, if a call outlives the loss of its connection."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,7 +45,7 @@ NOBODY = Holder(who="unknown", role="")
 
 
 def holder_of(request: Any) -> Holder:
-    """Who sent a request; None is stdio. A request that the border has not looked at has no rights."""
+    """Who sent a request; None is stdio. A request without a Holder has no rights."""
     if request is None:
         return LOCAL_AGENT
     holder = request.scope.get(HOLDER_KEY)
@@ -56,15 +57,18 @@ def is_local(who: str) -> bool:
     return who == LOCAL_AGENT.who or who.startswith(LOCAL_PROCESS.who)
 
 
-def local_client(client: str) -> Holder:
-    """A client of a server that asks for no token, told apart from others by its session or its process."""
-    return Holder(who=f"{LOCAL_PROCESS.who} {client}".rstrip(), role=LOCAL_PROCESS.role, client=client)
+class WatchedConnection(Protocol):
+    """The connection that a request came on."""
+
+    def watched(self, listener: Callable[[], object]) -> AbstractContextManager[None]:
+        """Call `listener` when the connection is lost within the block, or was before."""
+        ...
 
 
-def has_left(who: str) -> bool:
-    """Whether that client was a process of this machine that is gone."""
-    found = _PROCESS.search(who) if is_local(who) else None
-    return found is not None and not Path(f"/proc/{found.group(1)}").exists()
+def watching(request: Any, listener: Callable[[], object] | None) -> AbstractContextManager[None]:
+    """Call `listener` when the connection of a request is lost; stdio has none, its end cancels the call."""
+    connection: WatchedConnection | None = request.scope.get(CONNECTION_KEY) if request is not None else None
+    return nullcontext() if listener is None or connection is None else connection.watched(listener)
 
 
 def least_role(tool: Tool[Any] | DerivedTool) -> str:

@@ -1,15 +1,13 @@
-"""The server put together: tools and resources over one closed loop, served over stdio."""
+"""The server put together: tools and resources over one closed loop."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-import os
-import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import anyio
 from anyio import to_thread
@@ -22,7 +20,7 @@ from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.access import has_left, holder_of
+from roboneuron.server.access import holder_of, watching
 from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
@@ -32,10 +30,8 @@ from roboneuron.server.features import Features
 from roboneuron.server.guard import Guard
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.lost import watching
 from roboneuron.server.notices import ToolNotices
 from roboneuron.server.observing import observing_tools
-from roboneuron.server.operating import Operating
 from roboneuron.server.own_log import OwnLog
 from roboneuron.server.pauses import shorten_pauses
 from roboneuron.server.pic import closed_loop_tools
@@ -44,8 +40,6 @@ from roboneuron.server.records import record_tools
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
 from roboneuron.server.safety_reports import SafetyReports
-from roboneuron.server.selection import check_configuration
-from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -53,7 +47,6 @@ from roboneuron.supervisor.watch import Watch
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-_LAPSE_S = 2.0
 
 INSTRUCTIONS = """\
 RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
@@ -171,8 +164,6 @@ class Application:
         self.events.on_health(self._diagnostics.publish)
         self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
         self.guard = Guard(self.loop, self.events, self.notices.resource_updated)
-        audit = self.loop.emergency_stop.audit
-        self.operating = Operating(config.server.lease_s, audit, self._on_lapse, has_left=has_left)
         self.direct = DirectPath(self.loop, self.loop.emergency_stop.file, self.notices.tools_changed)
         self.tools = ToolRegistry(
             [
@@ -180,11 +171,9 @@ class Application:
                 *closed_loop_tools(self.loop),
                 *emergency_tools(self.loop),
                 *catalogue_tools(self.plugins),
-                *self.direct.tools(),
+                *self.direct.tools(self.features.identifies_clients),
                 *record_tools(self.loop, self.guard.incidents),
-                *self.operating.tools(),
             ],
-            admit=self.operating.admit,
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
         )
@@ -200,7 +189,6 @@ class Application:
         """Stop all motion, modules and threads; idempotent."""
         self._watch.close()
         self.features.close()
-        self.operating.close()
         self.guard.close()
         self.direct.close()
         self.supervisor.close()
@@ -214,7 +202,6 @@ class Application:
         self.direct.open()
         self.guard.start()
         self._watch.start()
-        self.operating.start()
 
     async def _join_ros(self) -> None:
         """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
@@ -234,10 +221,6 @@ class Application:
         with suppress(RoboNeuronError):  # told by the tools that need ROS
             await to_thread.run_sync(self.loop.emergency_stop.prepare, self.loop.config.namespace)
         await to_thread.run_sync(shorten_pauses)
-
-    def _on_lapse(self, reason: str) -> None:
-        self.end_motion(reason, _LAPSE_S)
-        self.events.tell_fault("inference", "lease", {"explanation": reason})
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
@@ -293,44 +276,3 @@ class Application:
             on_unsubscribe_resource=unsubscribe,
             on_subscriptions_listen=ListenHandler(self.notices.bus),
         )
-
-
-def serve_stdio(config: Config, wire: tuple[int, int]) -> None:
-    """Serve one client on the descriptors `wire` until it leaves, or SIGTERM or SIGINT comes; then stop everything.
-
-    Raises:
-        ConfigurationError, PlanningError: the configuration names what is not installed or does not fit.
-    """
-    application = Application(config)
-    check_configuration(config, application.plugins.current())
-    application.loop.emergency_stop.press_on_signal(config.namespace)
-    application.open()
-    try:
-        anyio.run(_serve, application, wire)
-    finally:
-        application.close()
-
-
-async def _serve(application: Application, wire: tuple[int, int]) -> None:
-    application.notices.attach(asyncio.get_running_loop())
-    writer = LineWriter(wire[1])
-    reader = MessageReader(wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64)
-    writer.start()
-
-    async def leave_on_signal(scope: anyio.CancelScope) -> None:
-        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
-            async for number in signals:
-                log.info("Received %s: stopping everything.", signal.Signals(number).name)
-                scope.cancel()
-                return
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(leave_on_signal, group.cancel_scope)
-        group.start_soon(application.settle)
-        server = application.server
-        reader.start()
-        log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
-        await server.run(*streams, server.create_initialization_options())
-        group.cancel_scope.cancel()
-    writer.close()

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
+    from anyio import Event
+
+    from roboneuron.config import Config
     from roboneuron.server.host import Host
     from roboneuron.server.tool import DerivedTool, Tool
 
 OptionsT = TypeVar("OptionsT")
+Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
+"""Serves clients on the event loop until the event is set."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,6 +47,18 @@ class Feature(Generic[OptionsT]):
     def __init__(self, options: OptionsT) -> None:
         self.options = options
 
+    @property
+    def identifies_clients(self) -> bool:
+        """Whether it tells clients apart by what they alone know, such as a token."""
+        return False
+
+    def check(self, config: Config) -> None:
+        """Check what the options alone do not tell (files, environment); for `config check` and before `listen`.
+
+        Raises:
+            ConfigurationError: the server would not work with it.
+        """
+
     def tools(self, host: Host) -> Sequence[Tool[Any] | DerivedTool]:
         """Tools for the agent. Called once, before clients are served; `host` may be kept."""
         return ()
@@ -56,6 +73,16 @@ class Feature(Generic[OptionsT]):
         Raises:
             RoboNeuronError: it cannot work; the server goes on without it unless the configuration names it.
         """
+
+    def listen(self, host: Host) -> Transport:
+        """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one of the descriptor's.
+
+        Modules and ROS are not started yet. `roboneuron.server.access` says what a transport leaves with each request.
+
+        Raises:
+            ConfigurationError: it cannot, such as for a port that is in use.
+        """
+        raise NotImplementedError(f"{type(self).__name__} serves no transport.")
 
     def close(self) -> None:
         """Release everything; may be called twice and before `start`."""

@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 from roboneuron.config import Config
-from roboneuron.config.features import feature_options
+from roboneuron.config.features import STDIO, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
-from roboneuron.server.feature import Feature, Resource
+from roboneuron.server.feature import Feature, Resource, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.registry import ToolRegistry
 
@@ -34,6 +34,8 @@ class Features:
         self.failed: dict[str, str] = {}
         for name in config.features:
             registry.get("feature", name)  # says why a feature that must be there is not
+        transport = config.server.transport
+        self._transport = None if transport == STDIO else transport_feature(transport, registry).name
         for spec in _ordered(self._specs):
             self._attempt(spec, "loaded", partial(self._load, spec))
 
@@ -45,6 +47,20 @@ class Features:
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
         return tuple(reference for spec, _ in self._all() if (reference := spec.on_join) is not None)
+
+    @property
+    def identifies_clients(self) -> bool:
+        """Whether one of them tells clients apart by what they alone know."""
+        return any(feature.identifies_clients for _, feature in self._all())
+
+    def check(self) -> None:
+        """Have every feature check its part of the configuration."""
+        for spec, feature in self._all():
+            self._attempt(spec, "used", partial(feature.check, self._config))
+
+    def listen(self, host: Host) -> Transport | None:
+        """Have the feature listen that serves the configured transport; None for stdio."""
+        return None if self._transport is None else self._loaded[self._transport].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
         """Add every feature's tools, and return all their resources."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.errors import StateError
 
 if TYPE_CHECKING:
+    from mcp.server import Server
+
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog, Gate
     from roboneuron.plugins.registry import Registry
@@ -60,6 +62,16 @@ class Host:
     def audit(self) -> AuditLog:
         """The audit log."""
         return self._application.loop.emergency_stop.audit
+
+    @property
+    def server(self) -> Server[Any]:
+        """The MCP server that every transport serves."""
+        return self._application.server
+
+    @property
+    def identifies_clients(self) -> bool:
+        """Whether a feature tells clients apart by what they alone know, such as a token."""
+        return self._application.features.identifies_clients
 
     @property
     def tools(self) -> ToolRegistry:

@@ -21,6 +21,8 @@ from roboneuron.server.schema import Schema, check_arguments, input_schema, outp
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
 
 log = logging.getLogger(__name__)
+Admission = Callable[[Tool[Any] | DerivedTool, CallContext], None]
+"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not block."""
 _MOST_TEXT = 2000
 """Characters of an error's text."""
 ERROR_META = "roboneuron/error"
@@ -32,7 +34,6 @@ class ToolRegistry:
 
     Args:
         tools: the first ones.
-        admit: raises RoboNeuronError for a call that is not to be made now.
         most_calls: more calls at once of clients of one role are refused, so that those who look on cannot hold up
             those who act; what stops something is never refused.
         ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
@@ -43,10 +44,9 @@ class ToolRegistry:
         tools: Iterable[Tool[Any]] = (),
         *,
         most_calls: int = 64,
-        admit: Callable[[Tool[Any] | DerivedTool, CallContext], None] = lambda tool, context: None,
         ready: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
-        self._admit = admit
+        self._admissions: list[Admission] = []
         self._ready = ready
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
@@ -55,6 +55,10 @@ class ToolRegistry:
         self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
         for tool in tools:
             self.add(tool)
+
+    def add_admission(self, admit: Admission) -> None:
+        """Ask this one too before each call; those of features ask who may act now."""
+        self._admissions.append(admit)
 
     def add(self, tool: Tool[Any]) -> None:
         """Add a tool.
@@ -167,7 +171,8 @@ class ToolRegistry:
                     f"{self._most_calls} calls are at work already for the role {context.role!r}, no more are taken.",
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
                 )
-            self._admit(tool, context)
+            for admit in self._admissions:
+                admit(tool, context)
             if isinstance(tool, DerivedTool):
                 return await tool.handler(arguments, context)
             return await self._call_typed(tool, arguments, context)

@@ -128,7 +128,7 @@ class WarmSwitch:
         """Agree on the moment, wait for the first output after it, and make the new one the module of its kind."""
         old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
-        margin_s = self._probe(clients)
+        margin_s = self._probe(clients, standby)
         latency_s = self._trial.latency_s(self._healthy(standby))
         moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
         self._on_stage(f"{self._kind}: changing over")
@@ -146,14 +146,14 @@ class WarmSwitch:
                 self._await_turn(standby, due_s, latency_s)
             return self._supervisor.adopt(standby)
         except BaseException as error:
-            self._roll_back(clients, error)
+            self._roll_back(clients, old, error)
             raise
 
-    def _probe(self, clients: Sequence[ParameterClient]) -> float:
+    def _probe(self, clients: Sequence[ParameterClient], standby: Slot) -> float:
         """Tell both what they know already, and return the margin [s] that this needs."""
         started_s = time.monotonic()
         for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
-            refused = client.set(values, _FIND_S)
+            refused = client.set(values, _FIND_S, lambda: self._healthy(standby))
             if refused:
                 raise StateError(f"A change-over was refused: {refused}.")
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
@@ -166,14 +166,14 @@ class WarmSwitch:
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
-    def _roll_back(self, clients: Sequence[ParameterClient], cause: BaseException) -> None:
+    def _roll_back(self, clients: Sequence[ParameterClient], slot: Slot, cause: BaseException) -> None:
         """The old one acts again; the new one is told not to, and ended by the caller in any case."""
         log.warning("The change-over is undone: %s", cause)
         old, new = clients
         with suppress(RoboNeuronError):
             new.send({ACT_FROM: NEVER_NS})
         try:
-            refused = old.set({ACT_UNTIL: 0, PLAY_UNTIL: 0}, _FIND_S)
+            refused = old.set({ACT_UNTIL: 0, PLAY_UNTIL: 0}, _FIND_S, lambda: slot.check_alive("told to go on"))
         except RoboNeuronError as error:
             refused = error.message
         if refused:
@@ -182,8 +182,9 @@ class WarmSwitch:
                 cause.hint = f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
 
     def _healthy(self, slot: Slot) -> Report:
-        """The newest report of a process that works; raises what it says is wrong."""
+        """The newest report of a process that works; raises what is wrong with it, or with the old one."""
         slot.check_alive("working in shadow")
+        self._supervisor.slot(self._kind).check_alive("being replaced")
         report = self._supervisor.report_of(slot)
         if report is None:
             raise NotReadyError(f"The new {self._trial.noun} has fallen silent; nothing was replaced.")

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from roboneuron.config import ServerConfig
@@ -45,6 +45,7 @@ class Launcher:
         on_spawn: called after each spawn.
         on_change: called with the kind when a module started, stopped or ended by itself.
         observers: told of every process.
+        secret_variables: environment variables that modules do not get.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class Launcher:
         on_spawn: Callable[[], None],
         on_change: Callable[[ModuleKind], object],
         observers: ProcessObservers,
+        secret_variables: Collection[str],
     ) -> None:
         self._connection = connection
         self._board = board
@@ -66,6 +68,7 @@ class Launcher:
         self._log_directory = log_directory
         self._on_spawn = on_spawn
         self._on_change = on_change
+        self._secret_variables = secret_variables
         self._spawner = Spawner(observers)
         self._starts = itertools.count(os.getpid())
 
@@ -103,16 +106,14 @@ class Launcher:
 
     def _spawn(self, slot: Slot, settings: ModuleSettings, python: str | None) -> ModuleProcess:
         command = self._command(python)
-        tokens = settings.config.server.tokens
-        secrets = [token.variable for token in tokens if token.variable is not None]
-        # A plugin has no use for the server's section, which tells where tokens are.
+        # A plugin has no use for the server's section.
         told = settings.model_copy(update={"config": settings.config.model_copy(update={"server": ServerConfig()})})
         check_state_directory(self._log_directory)
         try:
             process = self._spawner.spawn(
                 settings.node_name,
                 command,
-                module_environment(python, next(self._starts), secrets),
+                module_environment(python, next(self._starts), self._secret_variables),
                 told.model_dump_json(),
                 self._log_directory / f"{settings.node_name}.log",
             )

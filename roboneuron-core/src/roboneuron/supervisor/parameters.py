@@ -38,8 +38,11 @@ class ParameterClient:
         self._changes = changes
         self._node = node
 
-    def find(self, timeout_s: float) -> None:
+    def find(self, timeout_s: float, check: Callable[[], object] = lambda: None) -> None:
         """Wait until its service is known.
+
+        Args:
+            check: called while waiting; raises to give up.
 
         Raises:
             NotReadyError: it was not found in time.
@@ -47,7 +50,12 @@ class ParameterClient:
         from rcl_interfaces.srv import SetParameters  # heavy
 
         name = f"{self._node}/set_parameters"
-        if not self._changes.wait_for(lambda: self._link.is_service_ready(SetParameters, name), timeout_s):
+
+        def found() -> bool:
+            check()
+            return self._link.is_service_ready(SetParameters, name)
+
+        if not self._changes.wait_for(found, timeout_s):
             raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
 
     def send(self, values: Mapping[str, str | int]) -> Call:
@@ -83,7 +91,7 @@ class ParameterClient:
         refused = [result.reason for result in call.response.results if not result.successful]
         return "; ".join(refused)
 
-    def set(self, values: Mapping[str, str | int], timeout_s: float) -> str:
+    def set(self, values: Mapping[str, str | int], timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
         """Find, send and finish."""
-        self.find(timeout_s)
-        return self.finish(self.send(values), timeout_s)
+        self.find(timeout_s, check)
+        return self.finish(self.send(values), timeout_s, check)

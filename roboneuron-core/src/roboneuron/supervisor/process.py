@@ -7,10 +7,12 @@ frozen for ever, deaf to its death signal.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -23,6 +25,8 @@ from roboneuron.supervisor.observing import ProcessObservers
 
 LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
+_FROZEN_S = 0.3
+"""A debugger or job control may stop a process for a moment."""
 
 
 class ModuleProcess:
@@ -45,11 +49,23 @@ class ModuleProcess:
         self._reaping = threading.Lock()
         self._exited = threading.Event()
         self._observers = observers
+        self._frozen_since_s = math.inf
 
     @property
     def exit_code(self) -> int | None:
         """None while it runs; negative for the signal that ended it."""
         return self._child.returncode if self._exited.is_set() else None
+
+    def is_frozen(self) -> bool:
+        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works nor answers."""
+        try:
+            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
+            state = stat.rpartition(")")[2].split()[0]  # the name before it may hold blanks
+        except (OSError, IndexError):
+            state = ""
+        now_s = time.monotonic()
+        self._frozen_since_s = min(self._frozen_since_s, now_s) if state in ("T", "t") else math.inf
+        return now_s - self._frozen_since_s > _FROZEN_S
 
     def last_lines(self, lines: int = LAST_LINES) -> tuple[str, ...]:
         """The end of what this process has written to its log."""

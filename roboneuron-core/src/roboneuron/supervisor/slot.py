@@ -109,8 +109,13 @@ class Slot:
             raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
 
     def check_alive(self, doing: str) -> None:
-        """Raises NotReadyError when the process has ended, with its last words."""
+        """Raises NotReadyError when the process has ended, with its last words, or is frozen."""
         process = self.process
+        if process is not None and process.exit_code is None and process.is_frozen():
+            raise NotReadyError(
+                f"The {self.kind} process (pid {process.pid}) is frozen (SIGSTOP or a debugger) while {doing}.",
+                hint=f"Continue it (kill -CONT {process.pid}), or start it again.",
+            )
         if process is not None and process.exit_code is not None:
             raise NotReadyError(
                 f"The {self.kind} process (pid {process.pid}) ended with {_ending(process.exit_code)} while {doing}.",

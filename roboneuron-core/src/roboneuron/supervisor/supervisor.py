@@ -46,6 +46,7 @@ class Supervisor:
     Attributes:
         observers: told of every module process.
         on_join: what modules call once they have joined ROS, as "module:attribute".
+        secret_variables: environment variables that modules do not get.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Supervisor:
         self.changes = Changes()
         self.observers = ProcessObservers()
         self.on_join: tuple[str, ...] = ()
+        self.secret_variables: set[str] = set()
         board = StatusBoard(self.changes)
         self._connection = Connection(board.receive, self.log_directory)
         self._heartbeat = Heartbeat(self._processes)
@@ -72,6 +74,7 @@ class Supervisor:
             on_spawn=self._heartbeat.start,
             on_change=on_change,
             observers=self.observers,
+            secret_variables=self.secret_variables,
         )
         self._on_change = on_change
         self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}

@@ -80,11 +80,11 @@ class DirectPath:
         self._all: dict[str, DerivedTool] = {}
         self._graph = LiveGraph(config, self.traffic, lambda: self._named, self._profile, self._on_found)
 
-    def tools(self) -> list[Tool[Any]]:
-        """The tools that are there whatever is exposed."""
+    def tools(self, identifies_clients: bool) -> list[Tool[Any]]:
+        """The tools that are there whatever is exposed; without tokens nobody exposes more unless it is configured."""
         config = self._loop.config
         tools = generic_tools(lambda: self._exposure, self.traffic)
-        if config.server.tokens or config.direct.expose_without_token:
+        if identifies_clients or config.direct.expose_without_token:
             tools += exposing_tools(self, config.direct.expose_without_token)
         return tools
 

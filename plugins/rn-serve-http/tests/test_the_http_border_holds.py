@@ -16,15 +16,17 @@ from typing import Any
 import httpx2
 import pytest
 
+from rn_serve_http import connections
+from rn_serve_http.connections import BODY_S, HEADERS_S, MOST_UNPROVEN, MOST_UNPROVEN_OF_ONE, ConnectionTable
+from rn_serve_http.feature import HttpFeature
+from rn_serve_http.options import HttpOptions
+from rn_serve_http.origins import HostRules
+from rn_serve_http.peers import peer_process
+from rn_serve_http.server import listen, make_server
+from rn_serve_http.tokens import TokenTable
 from roboneuron.errors import StateError
-from roboneuron.server import http_connections
 from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
-from roboneuron.server.http import listen, make_server
-from roboneuron.server.http_connections import BODY_S, HEADERS_S, MOST_UNPROVEN, MOST_UNPROVEN_OF_ONE, ConnectionTable
-from roboneuron.server.http_origin import HostRules
-from roboneuron.server.peers import peer_process
-from roboneuron.server.tokens import TokenTable
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 pytestmark = pytest.mark.timeout(120)
@@ -70,9 +72,11 @@ def bearer(role: str) -> dict[str, str]:
 
 @contextmanager
 def serving(application: Application, tokens: TokenTable) -> Iterator[Server]:
-    section = application.loop.config.server.model_copy(update={"port": 0, "allowed_origins": (PAGE,)})
-    with listen(section, tokens) as listener:
-        server = make_server(application, HostRules(section), tokens)
+    options = HttpOptions(port=0, allowed_origins=(PAGE,))
+    feature = application.host.feature("http", HttpFeature)
+    assert feature.lease is not None
+    with listen(options, tokens) as listener:
+        server = make_server(application.server, options, HostRules(options), tokens, feature.lease.release)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
         thread.start()
         deadline_s = time.monotonic() + 30
@@ -128,7 +132,7 @@ def test_half_open_connections_shut_nobody_out(server: Server, said: bytes) -> N
 def test_headers_arrive_in_time_or_the_connection_ends(
     server: Server, monkeypatch: pytest.MonkeyPatch, then: bytes
 ) -> None:
-    monkeypatch.setattr(http_connections, "HEADERS_S", 0.5)
+    monkeypatch.setattr(connections, "HEADERS_S", 0.5)
     with server.connect() as connection:
         connection.sendall(b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\n")
         ended = threading.Event()
@@ -148,7 +152,7 @@ def test_headers_arrive_in_time_or_the_connection_ends(
 
 
 def test_a_body_arrives_in_time_or_the_connection_ends(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_connections, "BODY_S", 0.5)
+    monkeypatch.setattr(connections, "BODY_S", 0.5)
     with server.connect() as connection:
         head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKENS['viewer']}\r\n"
         connection.sendall(head.encode() + b"Content-Type: application/json\r\nContent-Length: 99\r\n\r\n{")
@@ -167,6 +171,7 @@ class Hashable:
 
     def __init__(self, facts: SimpleNamespace) -> None:
         self.address, self.is_idle, self.dropped, self.drop = facts.address, facts.is_idle, facts.dropped, facts.drop
+        self.is_silent, self.age_s = True, 2.0
 
 
 def test_the_oldest_unproven_connection_gives_way() -> None:
@@ -182,9 +187,22 @@ def test_the_oldest_unproven_connection_gives_way() -> None:
     assert not mine.dropped  # its address is not the busiest
 
 
+def test_connections_that_are_new_or_have_sent_a_request_do_not_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_YOUNG", 2 * MOST_UNPROVEN_OF_ONE)
+    table = ConnectionTable()
+    crowd = [made_connection("10.0.0.2") for _ in range(2 * MOST_UNPROVEN_OF_ONE + 5)]
+    for connection in crowd[:10]:
+        connection.is_silent = False
+    for connection in crowd[10:]:
+        connection.age_s = 0.1
+    for connection in crowd:
+        table.add(connection)
+    assert [bool(c.dropped) for c in crowd] == [False] * 10 + [True] * 5 + [False] * (len(crowd) - 15)
+
+
 def test_a_holder_has_a_share_and_a_stop_is_served_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, number in {"MOST": 6, "MOST_OF_ONE": 4, "RESERVED": 2}.items():
-        monkeypatch.setattr(http_connections, name, number)
+        monkeypatch.setattr(connections, name, number)
     table = ConnectionTable()
     busy = [made_connection("a", is_idle=False) for _ in range(20)]
     assert [table.prove(c, "viewer") for c in busy[:6]] == [True] * 4 + [False] * 2
@@ -201,7 +219,7 @@ def test_a_stop_is_taken_from_a_holder_with_too_many_connections(
     server: Server, monkeypatch: pytest.MonkeyPatch, application: Application
 ) -> None:
     session = server.open_session(**bearer("viewer"))
-    monkeypatch.setattr(http_connections, "MOST_OF_ONE", 0)
+    monkeypatch.setattr(connections, "MOST_OF_ONE", 0)
     refused = server.post(1, "tools/call", {"name": "get_status", "arguments": {}}, **session)
     assert (refused.status_code, refused.headers["connection"]) == (503, "close")
     assert "result" in server.call(session, 2, "emergency_stop")
@@ -330,8 +348,9 @@ def test_a_client_without_a_session_is_known_by_its_process() -> None:
 
 def test_where_it_serves_is_said_once_it_does(application: Application, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with listen(application.loop.config.server.model_copy(update={"port": 0}), TABLE) as listener:
-        server = make_server(application, HostRules(application.loop.config.server), TABLE)
+    options = HttpOptions(port=0)
+    with listen(options, TABLE) as listener:
+        server = make_server(application.server, options, HostRules(options), TABLE)
         assert "serves MCP on" not in caplog.text
         seen: list[bool] = []
 
@@ -343,9 +362,9 @@ def test_where_it_serves_is_said_once_it_does(application: Application, caplog: 
                     server.should_exit = True
 
         handler = Look()
-        logging.getLogger("roboneuron.server.http").addHandler(handler)
+        logging.getLogger("rn_serve_http.server").addHandler(handler)
         try:
             asyncio.run(server.serve(sockets=[listener]))
         finally:
-            logging.getLogger("roboneuron.server.http").removeHandler(handler)
+            logging.getLogger("rn_serve_http.server").removeHandler(handler)
     assert seen == [True]

@@ -7,47 +7,62 @@ from pathlib import Path
 
 import pytest
 
+from rn_serve_http.options import HttpOptions, TokenConfig
+from rn_serve_http.origins import HostRules
+from rn_serve_http.plugin import FEATURE
+from rn_serve_http.server import listen
+from rn_serve_http.tokens import TokenFiles, TokenTable, read_tokens
+from roboneuron.cli.main import main
 from roboneuron.cli.serve import configure, with_server
-from roboneuron.config import Config, TokenConfig, parse_config
+from roboneuron.config import Config, parse_config
+from roboneuron.config.features import feature_options
 from roboneuron.errors import ConfigurationError
-from roboneuron.server.http import listen, serve_http
-from roboneuron.server.http_origin import HostRules
-from roboneuron.server.tokens import TokenFiles, TokenTable, read_tokens
+from roboneuron.server.serving import serve
+from roboneuron.testing.fakes import fake_registry
 
 GOOD = "a-token-of-sufficient-length"
+REGISTRY = fake_registry(FEATURE)
 
 
-def config(server: str) -> Config:
-    return parse_config(f'[robot]\nname = "none"\n[server]\ntransport = "http"\nport = 0\n{server}')
+def config(http: str) -> Config:
+    text = f'[robot]\nname = "fr3"\n[server]\ntransport = "http"\n[http]\nport = 0\n{http}'
+    return parse_config(text, registry=REGISTRY)
 
 
-@pytest.mark.parametrize("server", ['host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]', 'host = "::"'])
-def test_an_address_for_others_needs_a_token(server: str) -> None:
+def options(http: str) -> HttpOptions:
+    made = feature_options(FEATURE, config(http))
+    assert isinstance(made, HttpOptions)
+    return made
+
+
+@pytest.mark.parametrize("http", ['host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]', 'host = "::"'])
+def test_an_address_for_others_needs_a_token(http: str, tmp_path: Path) -> None:
+    pytest.importorskip("rn_robot_fr3")
     with pytest.raises(ConfigurationError, match=r"token|allowed_hosts"):
-        serve_http(config(server))
+        serve(config(f'{http}\n[supervisor]\nstate_directory = "{tmp_path}"\n'), (0, 1))
     with pytest.raises(ConfigurationError, match="anybody could move the robot"):
-        listen(config('host = "0.0.0.0"').server, TokenTable([]))
+        listen(options('host = "0.0.0.0"'), TokenTable([]))
 
 
 def test_with_a_token_it_listens_for_others() -> None:
     tokens = read_tokens((TokenConfig(name="lab", role="viewer", variable="T"),), {"T": GOOD})
-    with listen(config('host = "0.0.0.0"').server, tokens) as listener:
+    with listen(options('host = "0.0.0.0"'), tokens) as listener:
         assert listener.getsockname()[1] > 0
 
 
 def test_listening_everywhere_needs_the_names_of_this_machine() -> None:
     with pytest.raises(ConfigurationError, match="allowed_hosts"):
-        HostRules(config('host = "0.0.0.0"').server)
-    named = HostRules(config('host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]').server)
+        HostRules(options('host = "0.0.0.0"'))
+    named = HostRules(options('host = "0.0.0.0"\nallowed_hosts = ["robot.lan"]'))
     assert named.allows_host(["robot.lan"])
     assert named.allows_host(["Robot.LAN:8765"])
 
 
 RULES = HostRules(
-    config(
+    options(
         'allowed_hosts = ["robot.lan", "proxy.lan:8443", "fd00::1"]\n'
         'allowed_origins = ["https://panel.lan", "http://tool.lan:*"]'
-    ).server
+    )
 )
 
 
@@ -80,13 +95,13 @@ def test_origins_are_parsed() -> None:
 @pytest.mark.parametrize("line", ['allowed_origins = ["panel.lan"]', 'allowed_hosts = ["http://robot.lan"]'])
 def test_what_cannot_be_a_host_or_an_origin_is_refused(line: str) -> None:
     with pytest.raises(ConfigurationError, match="is none"):
-        HostRules(config(line).server)
+        HostRules(options(line))
 
 
 def test_a_port_in_use_is_named() -> None:
-    with listen(config("").server, TokenTable([])) as first:
+    with listen(options(""), TokenTable([])) as first:
         first.listen()
-        section = config("").server.model_copy(update={"port": first.getsockname()[1]})
+        section = options("").model_copy(update={"port": first.getsockname()[1]})
         with pytest.raises(ConfigurationError, match=f"Port {section.port} of 127.0.0.1 cannot be used"):
             listen(section, TokenTable([]))
 
@@ -105,8 +120,8 @@ def test_a_token_is_in_one_place_and_of_one_holder() -> None:
         read_tokens((TokenConfig(name="lab", role="viewer"),), {})
     with pytest.raises(ConfigurationError, match="another entry"):
         read_tokens((section, TokenConfig(name="other", role="admin", variable="T")), {"T": GOOD})
-    with pytest.raises(ConfigurationError, match=r"unknown key 'server\.tokens\.0\.token'"):
-        config('[[server.tokens]]\nname = "lab"\nrole = "admin"\ntoken = "written down"')
+    with pytest.raises(ConfigurationError, match=r"unknown key 'http\.tokens\.0\.token'"):
+        config('[[http.tokens]]\nname = "lab"\nrole = "admin"\ntoken = "written down"')
 
 
 def test_a_file_with_a_token_is_only_for_its_owner(tmp_path: Path) -> None:
@@ -129,12 +144,16 @@ def test_the_command_line_goes_before_the_file() -> None:
     parser = argparse.ArgumentParser()
     configure(parser)
     base = parse_config('[robot]\nname = "none"\n')
-    chosen = with_server(base, parser.parse_args(["--transport", "http", "--port", "9000"])).server
-    assert (chosen.transport, chosen.host, chosen.port) == ("http", "127.0.0.1", 9000)
+    chosen = with_server(base, parser.parse_args(["--transport", "http", "--port", "9000"]), REGISTRY)
+    address = feature_options(FEATURE, chosen)
+    assert isinstance(address, HttpOptions)
+    assert (chosen.server.transport, address.host, address.port) == ("http", "127.0.0.1", 9000)
+    there = with_server(config('host = "::1"'), parser.parse_args(["--port", "1"]), REGISTRY).sections["http"]
+    assert there == {"host": "::1", "port": 1}
     with pytest.raises(ConfigurationError, match="--transport http"):
-        with_server(base, parser.parse_args(["--port", "9000"]))
-    with pytest.raises(ConfigurationError, match="70000"):
-        with_server(base, parser.parse_args(["--transport", "http", "--port", "70000"]))
+        with_server(base, parser.parse_args(["--port", "9000"]), REGISTRY)
+    with pytest.raises(ConfigurationError, match=r"the command line: http\.port = 70000"):
+        with_server(base, parser.parse_args(["--transport", "http", "--port", "70000"]), REGISTRY)
 
 
 def test_a_token_file_that_changes_is_read_again(tmp_path: Path) -> None:
@@ -169,3 +188,32 @@ def test_a_token_file_that_changes_is_read_again(tmp_path: Path) -> None:
     mine.write_text(GOOD)
     mine.chmod(0o600)
     assert holder(GOOD) == "mine"
+
+
+@pytest.mark.parametrize(
+    ("http", "words"),
+    [
+        ('tokens = [{ name = "x", role = "admin", variable = "NOT_SET_AT_ALL" }]', "NOT_SET_AT_ALL, which is not set"),
+        ('host = "0.0.0.0"', "allowed_hosts"),
+    ],
+)
+def test_config_check_says_what_serve_would(
+    http: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rn_robot_fr3")
+    path = tmp_path / "roboneuron.toml"
+    text = f'[robot]\nname = "fr3"\n[supervisor]\nstate_directory = "{tmp_path}/state"\n[http]\n{http}\n'
+    path.write_text(text + '[server]\ntransport = "http"\n')
+    assert main(["config", "check", str(path)]) == 2
+    assert words in capsys.readouterr().err
+    path.write_text(text)
+    assert main(["config", "check", str(path)]) == 0, "over stdio nobody asks for them"
+
+
+@pytest.mark.parametrize("key", sorted(HttpOptions.model_fields))
+def test_a_key_where_it_was_is_told_where_it_is(key: str) -> None:
+    value = {"tokens": '[{ name = "a", role = "admin", variable = "T" }]', "allowed_hosts": "[]"}.get(key, "1")
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(f'[robot]\nname = "none"\n[server]\n{key} = {value}\n')
+    words = f"roboneuron.toml: 'server.{key}' is now 'http.{key}': write it under [http]."
+    assert str(caught.value).startswith(words)

@@ -20,6 +20,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 CONFIG = """
 [server]
 transport = "http"
+[http]
 port = {port}
 [[expose]]
 name = "velocity"

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TypeVar
 
-from roboneuron.config import ServerConfig
-from roboneuron.errors import ConfigurationError
+from rn_serve_http.options import HttpOptions
+from roboneuron import ConfigurationError
 
 T = TypeVar("T")
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
@@ -28,18 +28,18 @@ class HostRules:
             allowed_hosts or allowed_origins is none.
     """
 
-    def __init__(self, section: ServerConfig) -> None:
-        if section.host in _ANY_ADDRESS and not section.allowed_hosts:
+    def __init__(self, options: HttpOptions) -> None:
+        if options.host in _ANY_ADDRESS and not options.allowed_hosts:
             raise ConfigurationError(
-                f"host = {section.host!r} listens on every address, so [server] must name in allowed_hosts how clients "
+                f"host = {options.host!r} listens on every address, so [http] must name in allowed_hosts how clients "
                 "call this machine.",
                 hint='Such as allowed_hosts = ["robot.lan", "192.168.1.20"].',
             )
-        names = [*_LOOPBACK_NAMES, *map(_bracketed, section.allowed_hosts)]
-        if section.host not in _ANY_ADDRESS:
-            names.append(_bracketed(section.host))
+        names = [*_LOOPBACK_NAMES, *map(_bracketed, options.allowed_hosts)]
+        if options.host not in _ANY_ADDRESS:
+            names.append(_bracketed(options.host))
         self._hosts = {_configured(_authority(name), "allowed_hosts", name) for name in names}
-        origins = [*(f"http://{name}:*" for name in _LOOPBACK_NAMES), *section.allowed_origins]
+        origins = [*(f"http://{name}:*" for name in _LOOPBACK_NAMES), *options.allowed_origins]
         self._origins = {_configured(_origin(text), "allowed_origins", text) for text in origins}
 
     def allows_host(self, headers: Sequence[str]) -> bool:
@@ -86,7 +86,5 @@ def _origin(text: str) -> tuple[str, str, int] | None:
 
 def _configured(found: T | None, key: str, text: str) -> T:
     if found is None:
-        raise ConfigurationError(
-            f"{text!r} in [server] {key} is none.", hint='Such as "robot.lan", "https://panel.lan".'
-        )
+        raise ConfigurationError(f"{text!r} in [http] {key} is none.", hint='Such as "robot.lan", "https://panel.lan".')
     return found

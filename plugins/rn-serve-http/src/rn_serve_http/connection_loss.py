@@ -1,17 +1,14 @@
-"""Connections that are lost while a call that came on them is at work."""
+"""Detection of connections that are lost during a call."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from starlette.types import Message, Receive
 
 log = logging.getLogger(__name__)
-CONNECTION_KEY = "roboneuron.connection"
-"""Where the HTTP border leaves the Connection in the ASGI scope of a request."""
 
 
 class Connection:
@@ -43,14 +40,3 @@ class Connection:
             yield
         finally:
             self._listeners.remove(listener)
-
-
-@contextmanager
-def watching(request: Any, listener: Callable[[], object] | None) -> Iterator[None]:
-    """Call `listener` when the connection of an MCP request is lost; stdio has none, its end cancels the call."""
-    connection = request.scope.get(CONNECTION_KEY) if request is not None else None
-    if listener is None or not isinstance(connection, Connection):
-        yield
-        return
-    with connection.watched(listener):
-        yield

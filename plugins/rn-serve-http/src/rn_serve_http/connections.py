@@ -1,7 +1,8 @@
 """Connections of the HTTP server: bounded time for a request to arrive, and shares for each address and holder.
 
-A connection is unproven until a request with a right came on it. Of those only a few are kept, and the oldest gives way
-to the newest, so that connections which say nothing can shut nobody out.
+A connection is unproven until a request with a right came on it. Of those that had a second to prove themselves only a
+few are kept, and the oldest gives way to the newest, so that connections which say nothing can shut nobody out. Many
+that come at once and do say something are all answered.
 """
 
 from __future__ import annotations
@@ -16,12 +17,16 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 log = logging.getLogger(__name__)
-CONNECTION_KEY = "roboneuron.transport"
+PROTOCOL_KEY = "roboneuron.transport"
 """Where the ASGI scope's `state` has the BoundedProtocol of a request."""
 HEADERS_S = 5.0
 """From the first byte of a request (of a connection: from its beginning) to the end of its headers."""
 BODY_S = 30.0
 MOST_UNPROVEN, MOST_UNPROVEN_OF_ONE = 128, 64
+MOST_YOUNG = 1024
+"""Unproven connections in all, however young."""
+YOUNG_S = 1.0
+"""An unproven connection is left alone for this long: its request may be on its way."""
 MOST, MOST_OF_ONE = 512, 128
 """Proven connections: of all holders, and of each."""
 RESERVED = 8
@@ -46,7 +51,10 @@ class ConnectionTable:
             busiest = counts.most_common(1)[0][0]
         else:
             return
-        oldest = next(other for other in self._unproven if other.address == busiest)
+        silent = (other for other in self._unproven if other.address == busiest and other.is_silent)
+        oldest = next(silent, connection)
+        if len(self._unproven) <= MOST_YOUNG and (oldest is connection or oldest.age_s < YOUNG_S):
+            return
         self.remove(oldest)
         oldest.drop("a newer one needs its place")
 
@@ -94,13 +102,24 @@ class BoundedProtocol(H11Protocol):
 
     def __init__(self, table: ConnectionTable, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.app_state = {**self.app_state, CONNECTION_KEY: self}
+        self.app_state = {**self.app_state, PROTOCOL_KEY: self}
         self.table = table
         self.address = ""
+        self._made_s = 0.0
         self.peer: str | None = None
         """Its client's process, once that was asked."""
         self._timer: asyncio.TimerHandle | None = None
         self._waits_for: Any = None
+
+    @property
+    def age_s(self) -> float:
+        """Time since it was made [s]."""
+        return self.loop.time() - self._made_s
+
+    @property
+    def is_silent(self) -> bool:
+        """No request has arrived on it."""
+        return self.cycle is None
 
     @property
     def is_idle(self) -> bool:
@@ -110,6 +129,7 @@ class BoundedProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See asyncio."""
         super().connection_made(transport)
+        self._made_s = self.loop.time()
         self.address = _network(self.client[0] if self.client else "")
         self.table.add(self)
         self._wait_for(h11.IDLE)

@@ -1,4 +1,4 @@
-"""Who operates the robot: one client at a time and, where a lease is required, only while it shows that it lives."""
+"""Admission of one operator at a time and, where a lease is configured, only while it makes calls."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import Field
 
-from roboneuron.errors import RefusedError
+from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import OPERATOR
-from roboneuron.server.tool import CallContext, DerivedTool, NoArguments, Result, Tool
+from roboneuron.server.tool import DerivedTool
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -28,7 +28,7 @@ class OperatorResult(Result):
     lease_s: float | None = Field(default=None, description="motion ends when the operator is silent for this long")
 
 
-class Operating:
+class OperatorLease:
     """Admits calls. The first client that calls what acts is the operator until another takes over.
 
     With a lease, every call of the operator renews it; when it lapses, `on_lapse` is called once, on a thread of its
@@ -161,7 +161,7 @@ class Operating:
                 title="Renew the lease",
                 description=(
                     "Say that you are alive. Every call of the operator does; where a lease is configured "
-                    "([server] lease_s) and the operator is silent for longer, the policy is stopped and the arm holds."
+                    "([http] lease_s) and the operator is silent for longer, the policy is stopped and the arm holds."
                 ),
                 arguments=NoArguments,
                 result=OperatorResult,

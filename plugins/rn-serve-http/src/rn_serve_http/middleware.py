@@ -1,4 +1,4 @@
-"""The border of the HTTP server: which hosts and pages may connect, whose token a request carries, and who is full."""
+"""Access middleware: checks hosts, origins, tokens and the share of connections of each client."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from roboneuron.server.access import HOLDER_KEY, Holder, local_client
+from rn_serve_http.connection_loss import Connection
+from rn_serve_http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
+from rn_serve_http.local_clients import local_client
+from rn_serve_http.origins import HostRules
+from rn_serve_http.peers import peer_process
+from rn_serve_http.sessions import SESSION_HEADER
+from rn_serve_http.tokens import TokenTable
+from roboneuron.server.access import CONNECTION_KEY, HOLDER_KEY, Holder
 from roboneuron.server.envelope import BUSY, is_urgent
-from roboneuron.server.http_connections import CONNECTION_KEY, BoundedProtocol, ConnectionTable
-from roboneuron.server.http_origin import HostRules
-from roboneuron.server.http_sessions import SESSION_HEADER
-from roboneuron.server.lost import CONNECTION_KEY as LOST_KEY
-from roboneuron.server.lost import Connection
-from roboneuron.server.peers import peer_process
-from roboneuron.server.tokens import TokenTable
 
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536
 
 
-class Border:
+class AccessMiddleware:
     """ASGI application around another: checks Host and Origin, then the token, and notes the Holder in the scope.
 
     Without tokens everybody who gets here is a local process with every role, told apart by its session or, where the
-    protocol has none, by its process; `serve_http` sees to it that this is so on loopback only.
+    protocol has none, by its process; `server.listen` sees to it that this is so on loopback only.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Border:
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
-        transport = scope.get("state", {}).get(CONNECTION_KEY)
+        transport = scope.get("state", {}).get(PROTOCOL_KEY)
         holder = await self._holder(headers, scope, transport)
         if holder is None:
             log.warning("Refused a request without a valid token.")
@@ -76,7 +76,7 @@ class Border:
         # The SDK binds a session to this user: a session of one token cannot be used with another.
         user = AuthenticatedUser(AccessToken(token="", client_id=holder.account, scopes=[holder.role]))
         connection = Connection(receive)
-        inner = {**scope, HOLDER_KEY: holder, LOST_KEY: connection, "user": user}
+        inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
         await self._app(inner, connection.receive, send)
 
     async def _holder(self, headers: Headers, scope: Scope, transport: object) -> Holder | None:

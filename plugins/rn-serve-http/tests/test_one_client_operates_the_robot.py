@@ -9,64 +9,64 @@ from typing import Any
 
 import pytest
 
+from rn_serve_http.operator_lease import OperatorLease
 from roboneuron.errors import RefusedError
 from roboneuron.gate.audit import AuditLog
-from roboneuron.server.operating import Operating
 
 ACTS = SimpleNamespace(name="start_robot", read_only=False, always=False)
 READS = SimpleNamespace(name="get_status", read_only=True, always=False)
 STOPS = SimpleNamespace(name="emergency_stop", read_only=False, always=True)
 
 
-class Desk:
-    """Operating, with the time and what was ended."""
+class Operated:
+    """The lease, with the time and what was ended."""
 
     def __init__(self, folder: Path, lease_s: float | None) -> None:
         self.now_s = 100.0
         self.lapses: list[str] = []
         self.audit = folder / "audit.jsonl"
-        self.operating = Operating(
+        self.lease = OperatorLease(
             lease_s, AuditLog(self.audit, lambda: 1), self.lapses.append, clock=lambda: self.now_s
         )
 
     def call(self, tool: Any, who: str) -> None:
-        self.operating.admit(tool, SimpleNamespace(who=who, role="operator"))  # type: ignore[arg-type]
+        self.lease.admit(tool, SimpleNamespace(who=who, role="operator"))  # type: ignore[arg-type]
 
 
 def test_only_one_client_acts_and_everybody_reads_and_stops(tmp_path: Path) -> None:
-    desk = Desk(tmp_path, None)
-    desk.call(READS, "bob")
-    desk.call(ACTS, "ann")
-    desk.call(READS, "bob")
-    desk.call(STOPS, "bob")
+    robot = Operated(tmp_path, None)
+    robot.call(READS, "bob")
+    robot.call(ACTS, "ann")
+    robot.call(READS, "bob")
+    robot.call(STOPS, "bob")
     with pytest.raises(RefusedError, match="'ann' operates the robot"):
-        desk.call(ACTS, "bob")
-    assert desk.operating.take_over("bob", "operator") == "ann"
-    desk.call(ACTS, "bob")
+        robot.call(ACTS, "bob")
+    assert robot.lease.take_over("bob", "operator") == "ann"
+    robot.call(ACTS, "bob")
     with pytest.raises(RefusedError):
-        desk.call(ACTS, "ann")
-    (record,) = [json.loads(line) for line in desk.audit.read_text().splitlines()]
+        robot.call(ACTS, "ann")
+    (record,) = [json.loads(line) for line in robot.audit.read_text().splitlines()]
     assert (record["who"], record["tool"], record["reason"]) == ("bob", "take_over", "took over from ann")
-    desk.now_s += 1e6
-    desk.operating.look()
-    assert desk.lapses == []
+    robot.now_s += 1e6
+    robot.lease.look()
+    assert robot.lapses == []
 
 
 def test_a_silent_operator_loses_the_robot_once(tmp_path: Path) -> None:
-    desk = Desk(tmp_path, 2.0)
-    desk.operating.look()
-    desk.call(ACTS, "ann")
+    robot = Operated(tmp_path, 2.0)
+    robot.lease.look()
+    robot.call(ACTS, "ann")
     for _ in range(3):
-        desk.now_s += 1.5
-        desk.call(READS, "ann")
-        desk.call(READS, "bob")
-        desk.operating.look()
-    assert desk.lapses == []
-    desk.now_s += 1.5
-    desk.call(READS, "bob")
-    desk.now_s += 0.6
+        robot.now_s += 1.5
+        robot.call(READS, "ann")
+        robot.call(READS, "bob")
+        robot.lease.look()
+    assert robot.lapses == []
+    robot.now_s += 1.5
+    robot.call(READS, "bob")
+    robot.now_s += 0.6
     for _ in range(2):
-        desk.operating.look()
-    (reason,) = desk.lapses
+        robot.lease.look()
+    (reason,) = robot.lapses
     assert "'ann' has lapsed: silent for 2.10 s, 2 s are allowed" in reason
-    desk.call(ACTS, "bob")
+    robot.call(ACTS, "bob")

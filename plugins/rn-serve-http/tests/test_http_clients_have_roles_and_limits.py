@@ -26,19 +26,20 @@ TOKENS = {role: f"{role}-token-of-this-test" for role in ("viewer", "operator", 
 SERVER = """
 [server]
 transport = "http"
-port = {port}
-max_request_bytes = 20000
 max_concurrent_calls = 2
 reset_emergency_stop = "client"
-[[server.tokens]]
+[http]
+port = {port}
+max_request_bytes = 20000
+[[http.tokens]]
 name = "screen"
 role = "viewer"
 variable = "TEST_VIEWER"
-[[server.tokens]]
+[[http.tokens]]
 name = "pendant"
 role = "operator"
 variable = "TEST_OPERATOR"
-[[server.tokens]]
+[[http.tokens]]
 name = "chief"
 role = "admin"
 variable = "TEST_ADMIN"

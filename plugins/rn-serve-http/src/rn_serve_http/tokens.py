@@ -10,8 +10,8 @@ import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from roboneuron.config import TokenConfig
-from roboneuron.errors import ConfigurationError
+from rn_serve_http.options import TokenConfig
+from roboneuron import ConfigurationError
 from roboneuron.server.access import Holder
 
 log = logging.getLogger(__name__)
@@ -105,13 +105,13 @@ def _entries(
                 hint=_NEW,
             )
         if any(token == other or section.name == holder.who for other, holder in entries):
-            raise ConfigurationError(f"{where} or its name is that of another entry of [[server.tokens]].", hint=_NEW)
+            raise ConfigurationError(f"{where} or its name is that of another entry of [[http.tokens]].", hint=_NEW)
         entries.append((token, Holder(who=section.name, role=section.role)))
     return entries
 
 
 def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
-    where = f"The token of {section.name!r} in [[server.tokens]]"
+    where = f"The token of {section.name!r} in [[http.tokens]]"
     if (section.variable is None) == (section.file is None):
         raise ConfigurationError(f"{where} needs either `variable` or `file`.")
     if section.variable is not None:

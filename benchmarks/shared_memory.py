@@ -1,0 +1,25 @@
+"""The repair of shared memory for a control plane that is put together without a server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any, cast
+
+from rn_fastdds.feature import SharedMemoryRepair
+from rn_fastdds.plugin import FEATURE
+from roboneuron.supervisor.supervisor import Supervisor
+
+
+@contextmanager
+def repaired(supervisor: Supervisor) -> Iterator[None]:
+    """As a server does with rn-fastdds installed."""
+    repair = SharedMemoryRepair(None)
+    supervisor.on_join = (FEATURE.on_join or "",)
+    assert supervisor.link
+    repair.start(cast(Any, SimpleNamespace(supervisor=supervisor)))
+    try:
+        yield
+    finally:
+        repair.close()

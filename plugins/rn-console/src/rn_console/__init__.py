@@ -1,0 +1,1 @@
+"""Commands for people at a terminal: run an instruction, status, logs and shell completion."""

@@ -1,0 +1,49 @@
+"""All commands of `roboneuron` as one argument parser: for completion and for the reference page."""
+
+from __future__ import annotations
+
+import logging
+from argparse import Action, ArgumentParser, _SubParsersAction
+from collections.abc import Iterator
+from pathlib import Path
+
+import shtab
+
+from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
+from roboneuron.cli.terminal import add_verbosity
+from roboneuron.errors import RoboNeuronError
+from roboneuron.plugins.discovery import discover
+
+log = logging.getLogger(__name__)
+_FOLDERS = ("DIRECTORY", "FOLDER")
+
+
+def whole_parser() -> ArgumentParser:
+    """Every command with its arguments; one of a plugin that cannot be loaded is logged and left out."""
+    registry = discover()
+    parser = ArgumentParser(prog="roboneuron")
+    parser.add_argument("--version", action="store_true", help="show program's version number and exit")
+    commands = parser.add_subparsers(dest="command")
+    listed = {name: command.summary for name, command in COMMANDS.items()}
+    for name, summary in {**listed, **installed_commands(registry)}.items():
+        try:
+            module = load_command(name, None if name in COMMANDS else registry)
+        except RoboNeuronError as error:
+            log.warning("The command %s is left out: %s", name, error)
+            continue
+        command = commands.add_parser(name, help=summary, description=module.__doc__)
+        module.configure(command)
+        add_verbosity(command)
+    for action in _actions(parser):
+        if action.type is Path and not action.choices:
+            is_folder = action.metavar in _FOLDERS
+            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
+    return parser
+
+
+def _actions(parser: ArgumentParser) -> Iterator[Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, _SubParsersAction):
+            for subparser in action.choices.values():
+                yield from _actions(subparser)

@@ -1,0 +1,1 @@
+"""Streamable HTTP for several clients: tokens with roles, and one operator at a time."""

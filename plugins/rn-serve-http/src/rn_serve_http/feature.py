@@ -1,0 +1,86 @@
+"""The feature: the transport `http`, and the admission of one operator on every transport."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+import anyio
+
+from rn_serve_http.local_clients import has_left
+from rn_serve_http.operator_lease import OperatorLease
+from rn_serve_http.options import HttpOptions
+from rn_serve_http.origins import HostRules
+from rn_serve_http.tokens import TokenFiles, read_tokens
+from roboneuron import Feature, Host, Tool
+from roboneuron.config import Config
+from roboneuron.server.feature import Transport
+
+_LAPSE_S = 2.0
+"""Longest wait for the end of motion when a lease lapsed."""
+
+
+class HttpFeature(Feature[HttpOptions]):
+    """Serves HTTP when `[server] transport` asks for it; lets one client at a time operate the robot always."""
+
+    lease: OperatorLease | None = None
+    listener: socket.socket | None = None
+
+    @property
+    def identifies_clients(self) -> bool:
+        """There are tokens."""
+        return bool(self.options.tokens)
+
+    def check(self, config: Config) -> None:
+        """Check tokens, hosts and origins, when they will be used."""
+        if config.server.transport == "http":
+            read_tokens(self.options.tokens, os.environ)
+            HostRules(self.options)
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """take_over and heartbeat; every call passes the lease from now on."""
+        variables = [token.variable for token in self.options.tokens if token.variable is not None]
+        host.supervisor.secret_variables.update(variables)
+
+        def end_motion(reason: str) -> None:
+            host.end_motion(reason, _LAPSE_S)
+            host.events.tell_fault("inference", "lease", {"explanation": reason})
+
+        self.lease = OperatorLease(self.options.lease_s, host.audit, end_motion, has_left=has_left)
+        host.tools.add_admission(self.lease.admit)
+        return self.lease.tools()
+
+    def start(self, host: Host) -> None:
+        """Watch the lease."""
+        if self.lease is not None:
+            self.lease.start()
+
+    def listen(self, host: Host) -> Transport:
+        """Read the tokens and bind the address; what is returned serves clients."""
+        from rn_serve_http.server import listen, make_server  # heavy
+
+        assert self.lease is not None, "the server asks for tools first"
+        rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
+        listener = self.listener = listen(self.options, tokens)
+        server = make_server(host.server, self.options, rules, tokens, self.lease.release)
+
+        async def serve(leave: anyio.Event) -> None:
+            async def end() -> None:
+                await leave.wait()
+                server.should_exit = True
+
+            async with anyio.create_task_group() as group:
+                group.start_soon(end)
+                await server.serve(sockets=[listener])
+                group.cancel_scope.cancel()
+
+        return serve
+
+    def close(self) -> None:
+        """End the watch, and free the address."""
+        if self.lease is not None:
+            self.lease.close()
+        if self.listener is not None:
+            self.listener.close()

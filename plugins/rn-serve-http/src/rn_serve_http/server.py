@@ -1,0 +1,128 @@
+"""The server over streamable HTTP: one MCP server for all clients, however many sessions there are."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import os
+import socket
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, cast
+
+import uvicorn
+from mcp.server import Server
+from mcp.server.transport_security import TransportSecuritySettings
+
+from rn_serve_http.connections import BoundedProtocol, ConnectionTable
+from rn_serve_http.local_clients import local_client
+from rn_serve_http.middleware import AccessMiddleware, session_name
+from rn_serve_http.options import HttpOptions
+from rn_serve_http.origins import HostRules
+from rn_serve_http.sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
+from rn_serve_http.tokens import TokenTable
+from roboneuron import ConfigurationError, __version__
+
+log = logging.getLogger(__name__)
+PATH = "/mcp"
+_LEAVE_S = 1
+"""Open streams get this long when the server ends; then they are cut."""
+_KEEP_ALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 5000}
+"""Socket options: s, s, probes, ms. A silent peer is gone after 5 s."""
+
+
+def make_server(
+    server: Server[Any],
+    options: HttpOptions,
+    rules: HostRules,
+    tokens: TokenTable,
+    on_leave: Callable[[str], object] = lambda who: None,
+) -> uvicorn.Server:
+    """The HTTP server around an MCP server; `serve` it with a socket.
+
+    Args:
+        on_leave: told which client without a token has ended its session.
+    """
+
+    def release(session: str) -> None:
+        on_leave(local_client(session_name(session)).who)
+
+    inner = server.streamable_http_app(
+        streamable_http_path=PATH,
+        max_request_body_size=options.max_request_bytes,
+        session_idle_timeout=IDLE_S,
+        max_sessions=MOST_SESSIONS,
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # AccessMiddleware does it
+    )
+    server.middleware.append(note_handled)
+    most = MOST_SESSIONS_OF_ONE if tokens else MOST_SESSIONS
+    connections = ConnectionTable()
+    return _Server(
+        uvicorn.Config(
+            AccessMiddleware(Sessions(inner, options.max_request_bytes, most, release), rules, tokens, connections),
+            http=cast(Any, partial(BoundedProtocol, connections)),
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=_LEAVE_S,
+            ws="none",
+        )
+    )
+
+
+def listen(options: HttpOptions, tokens: TokenTable) -> socket.socket:
+    """A socket bound to the configured address.
+
+    Raises:
+        ConfigurationError: the address is not loopback and there are no tokens, or it cannot be bound.
+    """
+    try:
+        found = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise ConfigurationError(f"host = {options.host!r} is no address of this machine: {error}.") from error
+    family, kind, protocol, _, address = found[0]
+    if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
+        raise ConfigurationError(
+            f"host = {options.host!r} can be reached from other machines, and there is no token: anybody could move "
+            "the robot.",
+            hint="Add [[http.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
+        )
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        _keep_alive(listener)
+        listener.bind(address)
+    except OSError as error:
+        listener.close()
+        raise ConfigurationError(
+            f"Port {options.port} of {options.host} cannot be used: {error.strerror}.",
+            hint="Does another server run? Choose another --port.",
+        ) from error
+    return listener
+
+
+def _keep_alive(listener: socket.socket) -> None:
+    """Notice within seconds that a client's machine or cable is gone; connections inherit it where that is known."""
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEP_ALIVE.items():
+        if hasattr(socket, name):
+            listener.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to us: uvicorn would raise them again and end the process before the modules are stopped."""
+
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Say where it serves once it does."""
+        await super().startup(sockets)
+        for listener in sockets or ():
+            host, port = listener.getsockname()[:2]
+            shown = f"[{host}]" if ":" in host else host
+            log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())

@@ -1,0 +1,98 @@
+"""take_over, heartbeat and the lease are there over stdio too, and the feature leaves nothing open."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client
+
+from rn_serve_http.feature import HttpFeature
+from rn_serve_http.plugin import FEATURE
+from roboneuron.config import parse_config
+from roboneuron.errors import ConfigurationError
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.testing.fakes import fake_registry
+
+Make = Callable[[str], Application]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    """Return a function that builds an application with sections of roboneuron.toml."""
+    registry = fake_registry(FEATURE)
+    made: list[Application] = []
+
+    def build(text: str) -> Application:
+        application = Application(
+            parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        return application
+
+    yield build
+    for application in made:
+        application.close()
+
+
+def test_a_client_on_stdio_takes_over_and_renews_its_lease(make: Make) -> None:
+    application = make("[http]\nlease_s = 5.0\n")
+
+    async def scenario() -> list[Any]:
+        async with Client(application.server) as client:
+            names = {tool.name for tool in (await client.list_tools()).tools}
+            assert {"take_over", "heartbeat"} <= names
+            return [(await client.call_tool(name, {})).structured_content for name in ("take_over", "heartbeat")]
+
+    assert [answer["operator"] for answer in anyio.run(scenario)] == ["agent on stdio"] * 2
+
+
+def test_motion_ends_and_people_are_told_when_the_lease_lapses(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    application = make("[http]\nlease_s = 0.05\n")
+    ended: list[str] = []
+    faults: list[tuple[str, str]] = []
+    monkeypatch.setattr(application, "end_motion", lambda reason, timeout_s: ended.append(reason))
+    application.events.on_fault(lambda module, what, facts: faults.append((module, what)))
+    application.features.start(application.host)
+    lease = application.host.feature("http", HttpFeature).lease
+    assert lease is not None
+    lease.take_over("ann", "operator")
+    deadline_s = time.monotonic() + 30.0
+    while not faults:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    assert faults == [("inference", "lease")]
+    assert "The lease of 'ann' has lapsed" in ended[0]
+
+
+def test_modules_do_not_get_the_variables_of_tokens(make: Make) -> None:
+    tokens = '[[http.tokens]]\nname = "boss"\nrole = "admin"\nvariable = "THE_BOSS"\n'
+    application = make(tokens)
+    assert application.supervisor.secret_variables == {"THE_BOSS"}
+    assert application.host.identifies_clients
+    assert "expose_endpoint" in {tool.name for tool in application.tools.listing()}
+    assert not make("").host.identifies_clients
+
+
+def test_the_address_is_free_again_after_close(make: Make) -> None:
+    application = make('[server]\ntransport = "http"\n[http]\nport = 0\n')
+    assert application.features.listen(application.host) is not None
+    listener = application.host.feature("http", HttpFeature).listener
+    assert listener is not None
+    address = listener.getsockname()
+    listener.listen()
+    other = make(f'[server]\ntransport = "http"\n[http]\nport = {address[1]}\n')
+    with pytest.raises(ConfigurationError, match="cannot be used"):
+        other.features.listen(other.host)
+    application.close()
+    with socket.create_server(address):
+        pass

@@ -1,0 +1,131 @@
+"""What a module reports of itself: written as key-value pairs on /diagnostics, and read back by the same class."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any, Self, get_type_hints
+
+from roboneuron.errors import InternalError, RoboNeuronError
+
+_DETAIL, _DROPPED = "detail.", "dropped."
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusReport:
+    """One report. On the wire each field is a pair of its own name; numbers are None when the module does not say them.
+
+    Attributes:
+        state: label of the lifecycle state.
+        ready: the module has proved that it works: robot and perception have published a first state or image, control
+            has received a first joint state and published `ee_pose`, inference has received every input it needs and,
+            when it has an instruction, published a first action.
+        waiting_for: what is missing until then.
+        error_code, error, error_hint: the newest failure; empty again once the module works.
+        error_count: never goes down.
+        loop_age_s: time since the executor last turned.
+        work_age_s, work_limit_s: time since the slowest of the module's threads last got on, and what it may be.
+        rate_hz, latency_ms, latency_p99_ms, age_ms: of the module's output.
+        dropped, dropped_by: inputs not acted on, and their number by reason.
+        emergency_stop: whether the module itself is latched.
+        detail: facts of the robot or simulator.
+        metrics: whatever else the module reports.
+    """
+
+    state: str = "unknown"
+    ready: bool = False
+    waiting_for: str = ""
+    error_code: str = ""
+    error: str = ""
+    error_hint: str = ""
+    error_count: int = 0
+    uptime_s: float | None = None
+    loop_age_s: float | None = None
+    work_age_s: float | None = None
+    work_limit_s: float | None = None
+    rate_hz: float | None = None
+    latency_ms: float | None = None
+    latency_p99_ms: float | None = None
+    age_ms: float | None = None
+    dropped: int = 0
+    published: int = 0
+    instruction: str = ""
+    instruction_count: int = 0
+    actions_for_instruction: int = 0
+    note: str = ""
+    emergency_stop: bool | None = None
+    dropped_by: Mapping[str, int] = field(default_factory=dict)
+    detail: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, str] = field(default_factory=dict)
+
+    def to_values(self) -> dict[str, str]:
+        """The pairs of a DiagnosticStatus; what is None is left out."""
+        values = {name: to_text(value) for name in _plain() if (value := getattr(self, name)) is not None}
+        values |= {f"{_DROPPED}{reason}": str(count) for reason, count in self.dropped_by.items()}
+        values |= {f"{_DETAIL}{key}": text for key, text in self.detail.items()}
+        return values | dict(self.metrics)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, str], **more: Any) -> Self:
+        """Read the pairs; what is malformed counts as not said. `more` are fields that are not on the wire."""
+        known = _plain()
+        return cls(
+            **{name: parse(values[name]) for name, parse in known.items() if name in values},
+            dropped_by={k.removeprefix(_DROPPED): _count(v) for k, v in values.items() if k.startswith(_DROPPED)},
+            detail={k.removeprefix(_DETAIL): v for k, v in values.items() if k.startswith(_DETAIL)},
+            metrics={k: v for k, v in values.items() if k not in known and not k.startswith((_DETAIL, _DROPPED))},
+            **more,
+        )
+
+    def failure(self) -> RoboNeuronError | None:
+        """The module's newest error as an exception of its own class, or None when it works."""
+        return to_error(self.error_code, self.error, self.error_hint) if self.error_code else None
+
+
+def to_text(value: str | float | int | bool) -> str:
+    """A value as it is written; floats with six significant digits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def to_error(code: str, message: str, hint: str = "") -> RoboNeuronError:
+    """The exception that `code` names; InternalError for a code nobody knows."""
+    return _subclasses(RoboNeuronError).get(code, InternalError)(message, hint=hint)
+
+
+def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]:
+    found = {base.code: base}
+    for child in base.__subclasses__():
+        found.update(_subclasses(child))
+    return found
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _count(text: str) -> int:
+    return int(_number(text) or 0)
+
+
+_PARSERS: dict[object, Any] = {
+    str: str,
+    int: _count,
+    bool: lambda text: text == "true",
+    float | None: _number,
+    bool | None: lambda text: text == "true",
+}
+
+
+@cache
+def _plain() -> dict[str, Any]:
+    """How each field that is one pair is read."""
+    hints = get_type_hints(StatusReport)
+    return {f.name: _PARSERS[hints[f.name]] for f in fields(StatusReport) if hints[f.name] in _PARSERS}

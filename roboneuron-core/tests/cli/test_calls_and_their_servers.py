@@ -1,0 +1,132 @@
+"""`call` takes tools with and without arguments; -v and -q say how much is logged, wherever they stand."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+import pytest
+
+from roboneuron.cli import terminal
+from roboneuron.cli.commands import COMMANDS, load_command
+
+
+def run(state: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", "-m", "roboneuron.cli.main", *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={"PATH": "/usr/bin:/bin", "XDG_STATE_HOME": str(state), "HOME": str(state)},
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
+    done = run(tmp_path, "call", "get_status", "--then", "list_robots", "--then", "list_interfaces", '{"package": "x"}')
+    assert '"robots"' in done.stdout
+    assert done.stdout.count("\n}\n") >= 2
+    assert "ending" not in done.stderr  # nothing was started: nothing to say
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--then", "a", "{}", "c"), "--then takes a tool and its arguments, got 'a {} c'."),
+        (("--keep", "--url", "http://127.0.0.1:9/mcp"), "--keep is for a server that `call` starts"),
+        (("--then", "a", "{"), "are not JSON"),
+    ],
+)
+def test_calls_that_make_no_sense_are_refused_before_a_server_starts(
+    words: tuple[str, ...], reason: str, tmp_path: Path
+) -> None:
+    done = run(tmp_path, "call", "get_status", *words)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert reason in line
+    assert not (tmp_path / "roboneuron" / "log").exists()
+
+
+@pytest.mark.parametrize(("flag", "is_logged"), [((), False), (("-vv",), True)])
+def test_the_log_of_a_server_of_our_own_is_shown_on_demand(
+    flag: tuple[str, ...], is_logged: bool, tmp_path: Path
+) -> None:
+    for words in (("call", "get_status", *flag), (*flag, "call", "get_status")):
+        assert ("serves MCP on stdio" in run(tmp_path, *words).stderr) is is_logged
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["-v", "-q", "config", "show"], ["config", "-v", "-q", "show"]),
+        (["config", "show", "-v"], ["config", "show", "-v"]),
+        (["--version"], ["--version"]),
+        (["-vv"], ["-vv"]),
+        ([], []),
+    ],
+)
+def test_flags_before_the_command_belong_to_it(words: list[str], expected: list[str]) -> None:
+    assert terminal.with_verbosity_behind(words) == expected
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_takes_v_and_q(name: str) -> None:
+    parser = ArgumentParser()
+    load_command(name).configure(parser)
+    terminal.add_verbosity(parser)
+    assert "--verbose" in parser.format_help()
+    assert "--quiet" in parser.format_help()
+
+
+def test_subcommands_take_them_too() -> None:
+    parser = ArgumentParser()
+    load_command("config").configure(parser)
+    terminal.add_verbosity(parser)
+    assert parser.parse_args(["-v", "show"]).verbose == 1
+    assert parser.parse_args(["show", "-v"]).verbose == 1
+    assert parser.parse_args(["show"]).verbose == 0
+
+
+def test_a_commands_own_options_win() -> None:
+    parser = ArgumentParser()
+    parser.add_argument("-v", "--volume", type=int)
+    terminal.add_verbosity(parser)
+    arguments = parser.parse_args(["-v", "3", "-q"])
+    assert (arguments.volume, arguments.quiet) == (3, 1)
+    assert terminal.log_level(arguments) == "error"
+
+
+@pytest.mark.parametrize(
+    ("verbose", "quiet", "level", "expected"),
+    [
+        (0, 0, "warning", "warning"),
+        (1, 0, "warning", "info"),
+        (5, 0, "warning", "debug"),
+        (0, 1, "info", "warning"),
+        (0, 9, "info", "error"),
+        (1, 1, "info", "info"),
+    ],
+)
+def test_levels_move_by_steps(verbose: int, quiet: int, level: str, expected: str) -> None:
+    assert terminal.log_level(Namespace(verbose=verbose, quiet=quiet), level) == expected
+
+
+def test_a_command_with_a_log_level_of_its_own_begins_its_log_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "begin_logging", lambda level: pytest.fail("begun twice"))
+    arguments = Namespace(verbose=1, quiet=0, log_level="info")
+    terminal.apply_verbosity(arguments)
+    assert arguments.log_level == "debug"
+
+
+def test_nothing_changes_without_the_flags(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+    monkeypatch.setattr(terminal, "begin_logging", begun.append)
+    monkeypatch.setattr(logging, "captureWarnings", lambda _: None)
+    terminal.apply_verbosity(Namespace(verbose=0, quiet=0))
+    assert begun == []
+    terminal.apply_verbosity(Namespace(verbose=1, quiet=0))
+    assert begun == ["INFO"]

@@ -1,0 +1,130 @@
+"""run, status and logs as a person uses them: with the simulated arm and the servo backend, and real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
+ROBONEURON = [sys.executable, "-P", "-m", "roboneuron.cli.main"]
+
+
+def roboneuron(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*ROBONEURON, *words], env=environment, capture_output=True, text=True, timeout=240, check=False
+    )
+
+
+@contextmanager
+def going_on(environment: dict[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
+    """The command in the background; interrupted at the end, as by Ctrl-C."""
+    with subprocess.Popen(
+        [*ROBONEURON, *words], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait(timeout=60)
+
+
+def wait_for_line(process: subprocess.Popen[str], words: str) -> None:
+    assert process.stderr is not None
+    assert process.stdout is not None
+    lines = []
+    for line in process.stderr if "Ctrl-C" in words else process.stdout:
+        lines.append(line)
+        if words in line:
+            return
+    pytest.fail(f"{words!r} is not in {lines}")
+
+
+def modules_of(server: int) -> list[int]:
+    """Process ids of the children of a server, and of the server."""
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(server)], capture_output=True, text=True, check=False)
+    return [int(word) for word in listed.stdout.split()]
+
+
+def test_an_instruction_is_run_and_everything_is_stopped(environment: dict[str, str]) -> None:
+    done = roboneuron({**environment, "PYTHONIOENCODING": "ascii"}, "run", "pick up the red cube")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    lines = done.stdout.splitlines()
+    starts = [line.split()[2] for line in lines if " + start " in line]
+    assert starts == ["robot", "perception", "control", "inference"]
+    assert any("stop inference, control, perception, robot" in line for line in lines)
+    assert lines[-1].startswith("done: the simulator says that red is lifted by ")
+    assert done.stdout.isascii()
+    left = roboneuron(environment, "status", "--json")
+    assert left.returncode == 1
+    assert json.loads(left.stdout)[0]["modules"] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "reason"),
+    [
+        (("make me a coffee",), 2, "'make me a coffee'"),
+        (("pick up the red cube", "--timeout-s", "0.5"), 1, "not done: 0.5 s are over and red is not lifted"),
+    ],
+)
+def test_a_run_that_comes_to_nothing_says_so(
+    environment: dict[str, str], words: tuple[str, ...], status: int, reason: str
+) -> None:
+    done = roboneuron(environment, "run", "-q", *words)
+    assert done.returncode == status
+    (line,) = [line for line in (done.stdout + done.stderr).splitlines() if "coffee" in line or "done" in line]
+    assert reason in line
+
+
+def test_an_interrupted_run_stops_everything(environment: dict[str, str]) -> None:
+    with going_on(environment, "run", "pick up the red cube") as process:
+        wait_for_line(process, "start robot")
+        server = modules_of(process.pid)
+        assert server
+        process.send_signal(signal.SIGINT)
+        assert process.stdout is not None
+        rest = process.stdout.read()
+        assert process.wait(timeout=60) == 130
+    assert "robot" in next(line for line in rest.splitlines() if " stop " in line)
+    assert rest.splitlines()[-1] == "interrupted, stopped"
+    assert not any(Path(f"/proc/{pid}").exists() for pid in server)
+
+
+def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str]) -> None:
+    with going_on(environment, "call", "start_robot", "--then", "get_status", "--keep") as process:
+        wait_for_line(process, "running until Ctrl-C: the server of this command, robot")
+        shown = roboneuron(environment, "status", "--json")
+        assert shown.returncode == 0, shown.stdout + shown.stderr
+        (status,) = json.loads(shown.stdout)
+        assert [module["module"] for module in status["modules"]] == ["robot"]
+        assert status["namespace"] == "fr3"
+        assert os.path.basename(status["log_directory"]).endswith(f"-{status['pid']}")
+        table = roboneuron(environment, "status").stdout
+        assert f"server pid {status['pid']}" in table
+        elsewhere = {**environment, "ROS_DOMAIN_ID": str((int(environment["ROS_DOMAIN_ID"]) + 1) % 200)}
+        other = roboneuron(elsewhere, "status")
+        assert other.returncode == 1
+        assert f"ROS_DOMAIN_ID={environment['ROS_DOMAIN_ID']} roboneuron status" in other.stdout
+        logs = roboneuron(environment, "logs", "server")
+        assert "robot: ok (was starting)" in logs.stdout
+        with going_on(environment, "logs", "--follow", "-n", "1") as follower:
+            assert follower.stdout is not None
+            assert status["log_directory"] in follower.stdout.readline()
+            process.send_signal(signal.SIGINT)
+            bound = threading.Timer(60, follower.kill)  # readline has none
+            bound.start()
+            assert any("Stopped robot: pid" in line for line in iter(follower.stdout.readline, ""))
+            bound.cancel()
+    assert process.returncode == 0
+    assert process.stderr is not None
+    assert "ending the server of this command, robot." in process.stderr.read()

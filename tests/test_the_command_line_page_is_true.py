@@ -1,0 +1,33 @@
+"""docs/command-line.md lists the commands and options that there are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from rn_console.judge import Outcome
+from rn_console.parsers import whole_parser
+from rn_console.reference import with_reference
+
+
+def test_its_reference_is_current(root: Path) -> None:
+    page = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
+    hint = "run: python -m rn_console.reference docs/command-line.md (with all packages installed)"
+    assert with_reference(page) == page, hint
+
+
+def test_commands_in_its_prose_are_taken_by_the_parsers(root: Path) -> None:
+    page = (root / "docs" / "command-line.md").read_text(encoding="utf-8").partition("<!--")[0]
+    blocks = "\n".join(re.findall(r"```(?:bash|console)\n(.*?)```", page, re.DOTALL))
+    used = re.findall(r'^(?:\$ )?roboneuron ((?:"[^"]*"|[^>#"\n])*)', blocks, re.MULTILINE)
+    assert len(used) >= 6
+    for line in used:
+        words = [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', line)]
+        assert whole_parser().parse_args(words).command == words[0]
+
+
+def test_its_exit_statuses_are_those_of_run(root: Path) -> None:
+    page = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
+    table = page.partition("| exit status |")[2].partition("\n\n")[0]
+    listed = {int(number) for number in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
+    assert listed == {int(outcome) for outcome in Outcome} | {2}
