@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import subprocess
@@ -36,16 +37,17 @@ def test_troubleshooting_names_every_error_code() -> None:
     assert {code for code in codes if f"| `{code}` |" not in page} == set()
 
 
-def test_troubleshooting_names_every_check_of_doctor() -> None:
+@pytest.mark.ros
+def test_troubleshooting_names_every_check_of_doctor(environment: dict[str, str]) -> None:
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "roboneuron.cli.main", "doctor", "--json"],
+        [str(Path(sys.executable).with_name("roboneuron")), "doctor", "--json"],
         capture_output=True,
         text=True,
+        env=environment,
         timeout=120,
         check=False,
     )
-    import json
 
     findings = json.loads(done.stdout)["findings"]
     headings = set(re.findall(r"^### `([a-z-]+)`", page, re.MULTILINE))

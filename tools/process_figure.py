@@ -94,8 +94,7 @@ font-family="system-ui, sans-serif" font-size="14" text-anchor="middle" fill="{I
 <title>Processes and topics of RoboNeuron</title>
 <desc>An agent speaks MCP to the server. The server supervises four processes: perception publishes images to \
 inference, inference publishes actions to control, control publishes commands to the robot, and the robot publishes \
-joint_states and \
-ee_pose to control and inference. Tools of the direct path reach the robot through the gate.</desc>
+joint_states and ee_pose to control and inference. Tools of the direct path reach the robot through the gate.</desc>
 <style>.t {{ font-weight: 600; font-size: 17px }} .l {{ font-size: 12.5px; fill: {FAINT} }}</style>
 <defs><marker id="head" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" \
 orient="auto-start-reverse"><path d="M0,1 L10,5 L0,9 z" fill="{INK}"/></marker></defs>
