@@ -26,10 +26,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 RATE_HZ = 30.0

@@ -48,9 +48,9 @@ from rn_backend_openvla.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.engine import Engine, release_memory
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_testing.fakes import make_observation
 from roboneuron.contract import Frame
 from roboneuron.contract.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
-from roboneuron.testing.fakes import make_observation
 
 PROMPT_TOKENS = 24
 PRESETS = {"none": 0.0, "fastv-p25": 0.25, "fastv-p50": 0.5, "fastv-p75": 0.75}

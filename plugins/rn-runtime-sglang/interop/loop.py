@@ -27,9 +27,9 @@ from mcp.client.stdio import stdio_client
 from rn_backend_openvla.tiny import STATISTICS_KEY, make_tiny
 from rn_demo.agent import Agent, module_status
 from rn_runtime_sglang.standin.site import write_site
+from rn_testing.domain import free_ros_domain
 from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 _DISCOVERY_S = 10.0
 """An onlooker may hear of new endpoints, and that dead ones are gone, later than the modules do."""

@@ -20,11 +20,15 @@ if TYPE_CHECKING:
         Runtime, TWIST_FIELDS, Topics, Workspace, apply_delta, check_action_vector, check_rgb8, check_twist,
         frame_from_buffer,
     )
+    from roboneuron.contract.rotation import (
+        matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix, rotvec_from_matrix,
+    )
     from roboneuron.errors import (
         CheckpointError, ConfigurationError, InternalError, InvalidInputError, MissingDependencyError, NotReadyError,
         PlanningError, PluginError, RefusedError, RoboNeuronError, StateError, UngroundedError, UnsafeError,
     )
     from roboneuron.plugins.markers import hookimpl, hookspec
+    from roboneuron.plugins.restricted import AgentMaySet, ConfigurationOnly
     from roboneuron.plugins.specs import (
         AccelerationSpec, ActionSpace, BackendSpec, CONTRACT_VERSION, CameraSpec, CommandSpec, ControllerSpec,
         DriverSpec, FeatureSpec, PerceptionSpec, Requirement, RobotSpec, RuntimeSpec, Spec,
@@ -46,6 +50,9 @@ _PLACES = {
         "PostureInspector", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS", "Topics",
         "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
     ),
+    "roboneuron.contract.rotation": (
+        "matrix_from_quaternion", "matrix_from_rotvec", "quaternion_from_matrix", "rotvec_from_matrix",
+    ),
     "roboneuron.errors": (
         "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
         "NotReadyError", "PlanningError", "PluginError", "RefusedError", "RoboNeuronError", "StateError",
@@ -53,6 +60,9 @@ _PLACES = {
     ),
     "roboneuron.plugins.markers": (
         "hookimpl", "hookspec",
+    ),
+    "roboneuron.plugins.restricted": (
+        "AgentMaySet", "ConfigurationOnly",
     ),
     "roboneuron.plugins.specs": (
         "AccelerationSpec", "ActionSpace", "BackendSpec", "CONTRACT_VERSION", "CameraSpec", "CommandSpec",
@@ -79,10 +89,12 @@ __all__ = [  # noqa: RUF022
     "JointLimits", "JointSample", "Observation", "PerceptionSource", "Pose", "Posture", "PostureInspector",
     "RobotDriver", "RobotProfile", "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta",
     "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+    "matrix_from_quaternion", "matrix_from_rotvec", "quaternion_from_matrix", "rotvec_from_matrix",
     "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
     "NotReadyError", "PlanningError", "PluginError", "RefusedError", "RoboNeuronError", "StateError",
     "UngroundedError", "UnsafeError",
     "hookimpl", "hookspec",
+    "AgentMaySet", "ConfigurationOnly",
     "AccelerationSpec", "ActionSpace", "BackendSpec", "CONTRACT_VERSION", "CameraSpec", "CommandSpec",
     "ControllerSpec", "DriverSpec", "FeatureSpec", "PerceptionSpec", "Requirement", "RobotSpec", "RuntimeSpec",
     "Spec",

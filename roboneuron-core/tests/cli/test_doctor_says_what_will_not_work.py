@@ -13,13 +13,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.doctor import checks
 from roboneuron.doctor.finding import Finding, Verdict
 from roboneuron.doctor.images import ImageTransport
 from roboneuron.errors import NotReadyError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.testing.domain import free_ros_domain
 
 MIB = 1 << 20
 

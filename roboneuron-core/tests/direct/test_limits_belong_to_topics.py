@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from roboneuron.config import ExposeConfig, parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
@@ -16,7 +17,6 @@ from roboneuron.modules.plugin import load_profile
 from roboneuron.server.app import Application
 from roboneuron.server.direct.endpoints import Exposed, exposure
 from roboneuron.server.direct.exposing import Admin
-from roboneuron.testing.fakes import fake_registry
 
 ROVER = """
 [robot]

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.interfaces import list_interfaces, load_message
@@ -17,7 +18,6 @@ from roboneuron.server.app import Application
 from roboneuron.server.direct.endpoints import exposure
 from roboneuron.server.direct.naming import PATTERNS, to_label, tool_name
 from roboneuron.server.direct.schemas import decoded_schema
-from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[..., Application]
 TWIST = 'kind = "publish"\ntopic = "cmd_vel"\ntype = "geometry_msgs/msg/Twist"\n'

@@ -9,6 +9,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_testing.fakes import gantry_profile
 from roboneuron.config import parse_config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError
@@ -17,7 +18,6 @@ from roboneuron.server.app import Application
 from roboneuron.server.direct.discovery import LiveGraph
 from roboneuron.server.direct.endpoints import Exposed
 from roboneuron.server.direct.found import check_patterns, limit
-from roboneuron.testing.fakes import gantry_profile
 
 TWIST = "geometry_msgs/msg/Twist"
 RANGES = f'[discover.limits."{TWIST}"]\n"linear.x" = [-0.5, 0.5]\n"angular.z" = [-1, 1]\n"*" = [0, 0]\n'

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from roboneuron import CallContext, Feature, FeatureSpec, Host, NoArguments, Resource, Result, StateError, Tool
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RoboNeuronError
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 TRACE: list[str] = []
 
