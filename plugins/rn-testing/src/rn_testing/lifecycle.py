@@ -5,29 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import Case
 from rn_testing.deadline import bounded
 from rn_testing.effects import check_memory, check_released, expect_refusal, find_effects, running
 from rn_testing.fakes import MemoryTopics
+from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.rule import NotApplicable, Rule, require
-from roboneuron.errors import (
-    CheckpointError,
-    ConfigurationError,
-    MissingDependencyError,
-    NotReadyError,
-    RoboNeuronError,
-    StateError,
-)
+from roboneuron.errors import RoboNeuronError, StateError
 
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-UNSTARTABLE = (CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError)
-"""What an automatic case may meet for want of options, weights or hardware."""
-OPTIONS_READ = "The options are read: each that the case sets, or at least one."
-"""Text of the rule `options-read`."""
 PURE = "The constructor opens no file, starts no thread or process and computes nothing that takes time."
 """Text of the rule `constructor-pure`."""
 
@@ -42,17 +30,6 @@ class Closable(Protocol):
 
 CaseT = TypeVar("CaseT", bound=Case[Any])
 C = TypeVar("C", bound=Closable)
-T = TypeVar("T")
-
-
-def attempt(case: Case[Any], start: Callable[[], T]) -> T:
-    """Return what `start` returns; for an automatic case what cannot start makes the rule not applicable."""
-    try:
-        return start()
-    except UNSTARTABLE as error:
-        if case.is_automatic:
-            raise NotApplicable(f"cannot be started as it is: {error}") from error
-        raise
 
 
 @contextmanager
@@ -84,53 +61,6 @@ def check_pure_constructor(case: Case[Any]) -> None:
     _, effects = find_effects(attempt(case, case.prepare))
     del first
     require(not effects, f"the constructor {'; '.join(effects)}")
-
-
-def check_options_read(
-    case: Case[Any], use: Callable[[Callable[[], Any]], None], topics: MemoryTopics | None = None
-) -> None:
-    """Every option that the case sets is read when the plugin is built, started and used, and at least one of all.
-
-    A model with validators of its own may have used an option there, so that of its options one is enough.
-    """
-    read: set[str] = set()
-    names: set[str] = set()
-    judged: set[str] = set()
-
-    def configure(options: object) -> object:
-        if options is None:
-            raise NotApplicable("there are no options")
-        model: type[BaseModel] = type(options)  # type: ignore[assignment]
-        names.update(model.model_fields)
-        if not model.__pydantic_decorators__.model_validators:
-            judged.update(case.option_names() & names)
-        return _record_reads(options, read)  # type: ignore[arg-type]
-
-    build = attempt(case, lambda: case.prepare(topics, configure))
-    if not names:
-        raise NotApplicable("there are no options")
-    use(build)
-    ignored = sorted(judged - read)
-    require(not ignored, f"the options {', '.join(ignored)} are set and never read")
-    require(bool(read), f"none of the options {', '.join(sorted(names))} is read")
-
-
-def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:
-    """A copy of `options` that notes in `read` which of its fields are looked at."""
-    model = type(options)
-    names = frozenset(model.model_fields)
-
-    def get(self: object, name: str) -> Any:
-        if name in names:
-            read.add(name)
-        elif name.startswith("model_") or name == "__iter__":
-            read.update(names)
-        return object.__getattribute__(self, name)
-
-    recording = type(model.__name__, (model,), {"__getattribute__": get, "__module__": model.__module__})
-    copy = options.model_copy()
-    object.__setattr__(copy, "__class__", recording)
-    return copy
 
 
 def _methods(protocol: type) -> list[str]:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import AccelerationCase
 from rn_testing.deadline import bounded
 from rn_testing.effects import check_memory, expect_refusal
-from rn_testing.lifecycle import (
-    OPTIONS_READ,
-    PURE,
-    attempt,
-    check_options_read,
-    check_protocol,
-    check_pure_constructor,
-)
+from rn_testing.lifecycle import PURE, check_protocol, check_pure_constructor
+from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.snapshots import snapshot
 from roboneuron.contract import Acceleration

@@ -6,9 +6,10 @@ import subprocess
 import sys
 from argparse import ArgumentParser
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import CommandCase
 from rn_testing.effects import HEAVY_MODULES
-from rn_testing.lifecycle import attempt, check_pure_constructor
+from rn_testing.lifecycle import PURE, check_pure_constructor
 from rn_testing.rule import Rule, require
 
 _HEAVY = (*HEAVY_MODULES, "rclpy", "mcp")
@@ -18,10 +19,6 @@ def _check_protocol(case: CommandCase) -> None:
     made = attempt(case, case.build)
     for name in ("configure", "run"):
         require(callable(getattr(made, name, None)), f"it has no method `{name}`")
-
-
-def _check_pure(case: CommandCase) -> None:
-    check_pure_constructor(case)
 
 
 def _check_help(case: CommandCase) -> None:
@@ -46,12 +43,7 @@ _SOURCE = "roboneuron.cli.commands.CommandModule"
 
 RULES: tuple[Rule[CommandCase], ...] = (
     Rule(id="command/protocol", text="It has `configure` and `run`.", source=_SOURCE, check=_check_protocol),
-    Rule(
-        id="command/constructor-pure",
-        text="The constructor opens no file, starts no thread or process and computes nothing that takes time.",
-        source=_SOURCE,
-        check=_check_pure,
-    ),
+    Rule(id="command/constructor-pure", text=PURE, source=_SOURCE, check=check_pure_constructor),
     Rule(id="command/help", text="Class and arguments say what they do.", source=_SOURCE, check=_check_help),
     Rule(
         id="command/light",

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import RobotCase
 from rn_testing.effects import check_quick, expect_refusal, wait_until
 from rn_testing.fakes import MemoryTopics
-from rn_testing.lifecycle import Lifecycle, attempt, started
+from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
 from roboneuron.contract import JointCommand, JointLimits, RobotDriver, RobotState

@@ -12,10 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import FeatureCase
 from rn_testing.effects import check_released, running
 from rn_testing.fakes import fake_registry
-from rn_testing.lifecycle import attempt, check_pure_constructor
+from rn_testing.lifecycle import PURE, check_pure_constructor
 from rn_testing.rule import Rule, require
 
 if TYPE_CHECKING:
@@ -59,10 +60,6 @@ def _check_class(case: FeatureCase) -> None:
 
     made = attempt(case, case.build)
     require(isinstance(made, Feature), f"`target` makes a {type(made).__name__}, not a roboneuron.Feature")
-
-
-def _check_pure(case: FeatureCase) -> None:
-    check_pure_constructor(case)
 
 
 def _check_defaults(case: FeatureCase) -> None:
@@ -134,12 +131,7 @@ _SOURCE = "roboneuron.server.feature.Feature"
 
 RULES: tuple[Rule[FeatureCase], ...] = (
     Rule(id="feature/class", text="`target` makes a roboneuron.Feature.", source=_SOURCE, check=_check_class),
-    Rule(
-        id="feature/constructor-pure",
-        text="The constructor opens no file, starts no thread or process and computes nothing that takes time.",
-        source=_SOURCE,
-        check=_check_pure,
-    ),
+    Rule(id="feature/constructor-pure", text=PURE, source=_SOURCE, check=check_pure_constructor),
     Rule(
         id="feature/defaults",
         text="It works without a section in the configuration: every option has a default.",

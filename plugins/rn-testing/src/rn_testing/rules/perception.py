@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import PerceptionCase
 from rn_testing.deadline import unbounded
 from rn_testing.effects import check_memory, within
 from rn_testing.fakes import MemoryTopics
-from rn_testing.lifecycle import OPTIONS_READ, Lifecycle, attempt, check_options_read, started
+from rn_testing.lifecycle import Lifecycle, started
+from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.snapshots import is_alike, snapshot
 from roboneuron.contract import CameraCalibration, CameraProfile, Frame, PerceptionSource

@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import RuntimeCase
 from rn_testing.effects import check_quick, expect_refusal, within
-from rn_testing.lifecycle import Lifecycle, attempt, started
+from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.snapshots import is_alike, snapshot
 from roboneuron.contract import Acceleration, Runtime
