@@ -34,8 +34,8 @@ from mcp import Client, StdioServerParameters
 from rich.console import Console
 from rich.table import Table
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 TOPIC = "/bench/cmd_vel"
 BUDGET_MS = 0.3

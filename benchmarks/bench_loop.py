@@ -26,12 +26,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.lifecycle import LifecycleClient
-from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 RATE_HZ = 30.0

@@ -26,8 +26,8 @@ from rich.console import Console
 from rich.table import Table
 
 from rn_demo.agent import Agent
+from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 MODULES = ("robot", "perception", "control", "inference")
 BARE_NODE = "import rclpy; rclpy.init(); n = rclpy.create_node('bare'); n.destroy_node(); rclpy.try_shutdown()"

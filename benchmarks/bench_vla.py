@@ -43,6 +43,7 @@ from rn_backend_openvla.plugin import roboneuron_backends
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.engine import Engine, release_memory
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_testing.fakes import make_observation
 from rn_vla.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
 from rn_vla.openvla.checkpoint import BACKBONES, Checkpoint
 from rn_vla.openvla.layout import TowerShape, VisionShape
@@ -50,7 +51,6 @@ from rn_vla.openvla.policy import policy_model
 from rn_vla.openvla.preprocessing import TowerPixels
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.contract import Frame
-from roboneuron.testing.fakes import make_observation
 
 PROMPT_TOKENS = 24
 PRESETS = {"none": 0.0, "fastv-p25": 0.25, "fastv-p50": 0.5, "fastv-p75": 0.75}

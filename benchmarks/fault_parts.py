@@ -17,6 +17,8 @@ from pydantic import Field
 from sensor_msgs.msg import JointState
 from switch_plugin import PERIOD_S, BackendOptions, CameraOptions, NamingBackend, NumberingCamera
 
+from rn_testing.fakes.controller import GantryController
+from rn_testing.fakes.robot import FakeDriver
 from roboneuron.contract import (
     ActionChunk,
     CameraProfile,
@@ -29,8 +31,6 @@ from roboneuron.contract import (
     Topics,
 )
 from roboneuron.ros.messages import to_joint_state
-from roboneuron.testing.fakes.controller import GantryController
-from roboneuron.testing.fakes.robot import FakeDriver
 
 _BEHIND_NS = 100_000_000
 _true_time_ns = time.time_ns

@@ -41,8 +41,8 @@ class FaultOptions(BaseModel):
 
 def profile() -> RobotProfile:
     """The fake gantry's, whose trajectories an agent may send directly too."""
+    from rn_testing.fakes.robot import gantry_profile
     from roboneuron.contract import Endpoint
-    from roboneuron.testing.fakes.robot import gantry_profile
 
     gantry = gantry_profile()
     trajectory = Endpoint(
@@ -105,7 +105,7 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
     """The fake gantry."""
-    from roboneuron.testing.fakes.robot import FAKE_ROBOT
+    from rn_testing.fakes.robot import FAKE_ROBOT
 
     driver = DriverSpec(
         name="simulated",

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from roboneuron.testing.domain import free_ros_domain
+from rn_testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 

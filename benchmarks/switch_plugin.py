@@ -179,7 +179,7 @@ class FaultyController:
     """Follows the protocol `Controller`: the gantry's, and what its options say is wrong with it."""
 
     def __init__(self, config: ControllerOptions | None, profile: RobotProfile) -> None:
-        from roboneuron.testing.fakes.controller import GantryController
+        from rn_testing.fakes.controller import GantryController
 
         self._options = config or ControllerOptions()
         self._inner = GantryController(None, profile)
@@ -254,7 +254,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 @hookimpl
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
     """The fake gantry's, and one with faults."""
-    from roboneuron.testing.fakes.controller import FAKE_CONTROLLER
+    from rn_testing.fakes.controller import FAKE_CONTROLLER
 
     faulty = ControllerSpec(
         name="faulty",
@@ -268,6 +268,6 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
     """The fake gantry."""
-    from roboneuron.testing.fakes.robot import FAKE_ROBOT
+    from rn_testing.fakes.robot import FAKE_ROBOT
 
     return [FAKE_ROBOT]

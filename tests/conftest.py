@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.testing.domain import free_ros_domain
+from rn_testing.domain import free_ros_domain
 
 ROOT = Path(__file__).parents[1]
 

@@ -1,4 +1,4 @@
-"""Imports point one way: errors <- contract <- plugins ... <- cli; core names no plugin; plugins touch no core room."""
+"""Imports point one way, errors <- contract <- ... <- cli; core names no plugin; plugins import what is public."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-import roboneuron
+from rn_testing.rules.package import is_public
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
@@ -32,18 +32,12 @@ ALLOWED: dict[str, set[str]] = {
     "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
     "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
-    "testing": CONTRACT | {"plugins", "config", "supervisor", "server", "cli"},
+    "log_files": LIGHT,
     "client": LIGHT,
 }
-"""Rooms of the core by the rooms they may import; `cli` may import all but `testing`."""
+"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
 ROS_ROOMS = {"ros", "modules", "interfaces"}
 """Where rclpy may be imported."""
-FOR_PLUGINS = {"contract", "errors", "plugins", "testing"}
-"""Rooms of the core that plugins may import."""
-FOR_FEATURES = {"client", "config", "gate", "interfaces", "modules", "planning", "server", "supervisor"} | {
-    *("cli", "log_files", "ros"),  # commands: their connection to a server, /diagnostics and the logs
-}
-"""What features and commands may import besides."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
 
@@ -67,7 +61,7 @@ def _core_files() -> list[Path]:
 
 def _breaches(path: Path) -> Iterator[str]:
     room = _room(path)
-    allowed = ALLOWED.get(room, set(ALLOWED) - {"testing"} | {"cli"}) | {room}
+    allowed = ALLOWED.get(room, set(ALLOWED) | {"cli"}) | {room, "log_files"}
     for name, line in _imports(path):
         parts = name.split(".")
         if parts[0] == "roboneuron" and len(parts) > 1 and parts[1] != "__version__" and parts[1] not in allowed:
@@ -115,23 +109,31 @@ def test_the_core_names_no_installed_plugin_in_code():
         assert not [p for p in packages if p in text], path
 
 
-def _is_public(name: str, allowed: set[str]) -> bool:
-    part = name.split(".")[1]
-    return part in allowed or (name.count(".") == 1 and part in roboneuron.__all__)
-
-
 def test_plugins_import_only_what_is_public_of_the_core():
     breaches = []
     for package in sorted(path.parent for path in PLUGINS.glob("*/src/*/__init__.py")):
         plugin = package / "plugin.py"  # a library has none
         offers = plugin.read_text(encoding="utf-8") if plugin.exists() else ""
         extends_the_server = any(word in offers for word in ("FeatureSpec", "CommandSpec"))
-        allowed = FOR_PLUGINS | (FOR_FEATURES if extends_the_server else set())
         breaches += [
             f"{path.relative_to(PLUGINS)}:{line} imports {name}"
             for path in sorted(package.rglob("*.py"))
             for name, line in _imports(path)
-            if name.startswith("roboneuron.") and not _is_public(name, allowed)
+            if not is_public(name, extends=extends_the_server)
+        ]
+    assert breaches == []
+
+
+def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_case():
+    breaches = []
+    for plugin in sorted(set(PLUGINS.glob("*/src/*/plugin.py")) - set(PLUGINS.glob("rn-testing/src/*/plugin.py"))):
+        sources = sorted(plugin.parent.rglob("*.py"))
+        importing = {p for p in sources if any(name.split(".")[0] == "rn_testing" for name, _ in _imports(p))}
+        named = plugin.read_text(encoding="utf-8")
+        breaches += [
+            f"{path.relative_to(PLUGINS)} imports rn_testing and is no `case`"
+            for path in importing
+            if f'"{".".join(path.relative_to(plugin.parents[1]).with_suffix("").parts)}:' not in named
         ]
     assert breaches == []
 
@@ -169,7 +171,6 @@ def test_the_import_graph_of_the_core_has_no_cycle():
     modules = {
         ".".join(["roboneuron", *path.relative_to(CORE).with_suffix("").parts]).removesuffix(".__init__"): path
         for path in CORE.rglob("*.py")
-        if "templates" not in path.parts
     }
     graph = {
         name: {m for m in _at_import_time(path) if m in modules and m != name and modules[m].name != "__init__.py"}

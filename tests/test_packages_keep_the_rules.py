@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
+from rn_testing import PackageCase, Rule, Verdict, verify
+from rn_testing.automatic import make_case
+from rn_testing.rules import RULES
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.record import PluginRecord, Status
 from roboneuron.plugins.specs import Spec
-from roboneuron.testing import PackageCase, Rule, Verdict, verify
-from roboneuron.testing.automatic import make_case
-from roboneuron.testing.rules import RULES
 
 REGISTRY = discover()
 OFFERS = [offer.spec for offer in REGISTRY.all_offers if offer.status is Status.READY]

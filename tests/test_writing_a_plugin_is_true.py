@@ -40,12 +40,16 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
 
 
 def test_the_extra_with_what_tests_need_has_one_name():
-    for path in [*ROOT.glob("plugins/*/pyproject.toml"), ROOT / "roboneuron-core" / "pyproject.toml"]:
+    own = "plugins/rn-testing/pyproject.toml"
+    for path in ROOT.glob("plugins/*/pyproject.toml"):
         extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"].get("optional-dependencies", {})
-        named = [name for name, lines in extras.items() if any(line.startswith("pytest") for line in lines)]
-        assert named in ([], ["testing"]), path
-    template = ROOT / "roboneuron-core" / "src" / "roboneuron" / "cli" / "templates" / "common" / "pyproject.toml.tmpl"
-    assert 'testing = ["roboneuron-core[testing]"]' in template.read_text(encoding="utf-8")
+        named = [
+            name for name, lines in extras.items() if any(line.startswith(("pytest", "rn-testing")) for line in lines)
+        ]
+        assert named == (["pytest"] if path == ROOT / own else ["testing"]), path
+        assert path == ROOT / own or "rn-testing[pytest]>=0.1,<0.2" in extras["testing"], path
+    template = ROOT / "plugins/rn-testing/src/rn_testing/templates/common/pyproject.toml.tmpl"
+    assert 'testing = ["rn-testing[pytest]>=0.1,<0.2"]' in template.read_text(encoding="utf-8")
     assert "pip install -e '.[testing]'" in PAGE
 
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
+from rn_testing.rules import RULES
 from roboneuron.cli.commands import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
@@ -20,7 +21,6 @@ from roboneuron.plugins.specs import KINDS, CameraSpec, DriverSpec, Requirement,
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
-from roboneuron.testing.rules import RULES
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "hooks.md"
 PROTOCOLS: dict[str, tuple[type, ...]] = {

@@ -20,7 +20,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-from roboneuron.testing.domain import free_ros_domain
+from rn_testing.domain import free_ros_domain
 
 NODE, INSPECTOR, CONFORMANCE = "22", "2.12.0", "0.1.16"
 PACKAGES = (

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
 
 CONFIG = """
 [robot]

@@ -24,9 +24,9 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.gate.estop import FILE_NAME
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 CONFIG = """

@@ -22,13 +22,13 @@ from rn_backend_openvla.plugin import roboneuron_backends as openvla_backends
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import roboneuron_runtimes
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_testing.fakes import make_observation
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
 from roboneuron.planning import check_plan
 from roboneuron.plugins.record import Offer, Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec, CameraSpec, DriverSpec, RobotSpec, RuntimeSpec
-from roboneuron.testing.fakes import make_observation
 
 PRESETS = {"fastv-p25": FastVP25, "fastv-p50": FastVP50, "fastv-p75": FastVP75}
 SHARES = {"fastv-p25": 0.75, "fastv-p50": 0.5, "fastv-p75": 0.25}

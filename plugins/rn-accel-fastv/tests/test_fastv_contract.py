@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_accel_fastv.case import free_case, p25_case, p50_case, p75_case
-from roboneuron.testing import AccelerationCase, AccelerationContract, PackageCase, PackageContract
+from rn_testing import AccelerationCase, AccelerationContract, PackageCase, PackageContract
 
 
 class TestFastV(AccelerationContract):

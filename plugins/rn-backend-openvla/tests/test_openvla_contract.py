@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_backend_openvla.case import openvla_case, openvla_tcp_case
-from roboneuron.testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
 
 
 class TestOpenVla(BackendContract):

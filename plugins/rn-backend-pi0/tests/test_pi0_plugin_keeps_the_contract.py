@@ -16,9 +16,9 @@ from pydantic import ValidationError
 from rn_backend_pi0.options import Pi0Options, Pi0RemoteOptions
 from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.profiles import PROFILES
+from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
 from roboneuron.contract import Observation
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.testing import BackendCase, BackendContract, PackageCase, PackageContract
 
 SPECS: dict[str, BackendSpec] = {spec.name: spec for spec in roboneuron_backends()}
 

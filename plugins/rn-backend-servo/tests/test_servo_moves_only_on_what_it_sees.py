@@ -12,10 +12,10 @@ import pytest
 from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.case import contract_case, observe, paint_table
 from rn_backend_servo.options import ServoOptions
+from rn_testing import BackendContract
+from rn_testing.cases import BackendCase
 from roboneuron.contract import Observation
 from roboneuron.errors import InvalidInputError, StateError, UngroundedError, UnsafeError
-from roboneuron.testing import BackendContract
-from roboneuron.testing.cases import BackendCase
 
 STEP_NS = 100_000_000
 CUBE_M = (0.5, -0.1)

@@ -3,8 +3,8 @@
 import pytest
 
 from rn_console.plugin import COMMANDS
+from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
 from roboneuron import CommandSpec
-from roboneuron.testing import CommandCase, CommandContract, PackageCase, PackageContract
 
 
 class TestCommands(CommandContract):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rn_controller_urdf.plugin import roboneuron_controllers
-from roboneuron.testing import ControllerCase, ControllerContract
+from rn_testing import ControllerCase, ControllerContract
 
 
 class TestUrdfController(ControllerContract):

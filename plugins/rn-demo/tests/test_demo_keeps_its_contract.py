@@ -3,7 +3,7 @@
 import pytest
 
 from rn_demo.plugin import COMMAND
-from roboneuron.testing import CommandCase, CommandContract, PackageCase, PackageContract
+from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
 
 
 class TestDemo(CommandContract):

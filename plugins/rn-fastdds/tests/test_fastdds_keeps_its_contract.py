@@ -3,7 +3,7 @@
 import pytest
 
 from rn_fastdds.plugin import FEATURE
-from roboneuron.testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 
 
 class TestFastDds(FeatureContract):

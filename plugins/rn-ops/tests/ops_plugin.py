@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
+from rn_testing.fakes import FAKE_SPECS, gradient_image
 from roboneuron import Frame, PerceptionSpec, hookimpl
-from roboneuron.testing.fakes import FAKE_SPECS, gradient_image
 
 
 class TickingSource:

@@ -16,10 +16,10 @@ import pytest
 from rn_doctor import checks
 from rn_doctor.finding import Finding, Verdict
 from rn_doctor.images import ImageTransport
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import NotReadyError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.testing.domain import free_ros_domain
 
 MIB = 1 << 20
 

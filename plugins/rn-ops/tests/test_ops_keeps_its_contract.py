@@ -3,7 +3,7 @@
 import pytest
 
 from rn_ops.plugin import COMMAND, FEATURE
-from roboneuron.testing import (
+from rn_testing import (
     CommandCase,
     CommandContract,
     FeatureCase,

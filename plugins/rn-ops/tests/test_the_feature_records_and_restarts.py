@@ -15,11 +15,11 @@ import pytest
 from mcp import Client, StdioServerParameters
 
 from rn_ops.plugin import FEATURE
+from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 SOURCES = ("robot", "perception", "inference", "control", "server")
 

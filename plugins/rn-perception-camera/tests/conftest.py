@@ -15,8 +15,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from rn_perception_camera.options import RosCamerasOptions
 from rn_perception_camera.ros_source import RosCameras
+from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraCalibration, CameraProfile
-from roboneuron.testing.fakes import MemoryTopics
 
 NOW_NS = 1_700_000_000_000_000_000
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2, 0], "bgra8": [2, 1, 0, 0], "mono8": [0]}

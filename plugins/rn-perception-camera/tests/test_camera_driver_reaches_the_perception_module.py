@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roboneuron.testing.domain import free_ros_domain
+from rn_testing.domain import free_ros_domain
 
 pytestmark = pytest.mark.ros
 HERE = Path(__file__).parent

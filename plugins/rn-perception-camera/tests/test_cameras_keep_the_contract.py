@@ -7,9 +7,9 @@ import sys
 import pytest
 
 from rn_perception_camera.contract_cases import ros_case, video_case
+from rn_testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.record import Status
-from roboneuron.testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
 
 
 class TestRosCamera(PerceptionContract):

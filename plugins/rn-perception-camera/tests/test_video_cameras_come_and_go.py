@@ -16,9 +16,9 @@ from pydantic import ValidationError
 from rn_perception_camera import grabber
 from rn_perception_camera.options import VideoCamerasOptions
 from rn_perception_camera.video_source import VideoCameras
+from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraProfile, Frame
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
-from roboneuron.testing.fakes import MemoryTopics
 
 
 class Bus:

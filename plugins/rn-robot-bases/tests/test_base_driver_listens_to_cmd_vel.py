@@ -18,9 +18,9 @@ from rn_robot_bases.driver import SimulatedBase
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import CMD_VEL, ODOMETRY, diffdrive_profile, husky_profile, racecar_profile
+from rn_testing.fakes import MemoryTopics, gantry_profile
 from roboneuron.contract import JointCommand, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
-from roboneuron.testing.fakes import MemoryTopics, gantry_profile
 
 PROFILES = (diffdrive_profile, husky_profile, racecar_profile)
 

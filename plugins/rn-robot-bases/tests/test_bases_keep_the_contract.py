@@ -6,7 +6,7 @@ import pytest
 
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.plugin import roboneuron_robots
-from roboneuron.testing import RobotCase, RobotContract
+from rn_testing import RobotCase, RobotContract
 
 SPECS = {spec.name: spec for spec in roboneuron_robots()}
 

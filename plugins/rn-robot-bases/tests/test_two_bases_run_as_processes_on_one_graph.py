@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from roboneuron.testing.domain import free_ros_domain
+from rn_testing.domain import free_ros_domain
 
 pytestmark = pytest.mark.ros
 

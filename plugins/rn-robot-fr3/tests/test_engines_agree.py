@@ -18,9 +18,9 @@ from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.world import build_world
+from rn_testing.fakes import MemoryTopics
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.availability import explain, is_importable, missing
-from roboneuron.testing.fakes import MemoryTopics
 
 EVERY_ENGINE = pytest.mark.skipif(not all(map(is_importable, ENGINES)), reason="needs both engines")
 

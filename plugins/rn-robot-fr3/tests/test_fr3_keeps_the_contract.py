@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rn_robot_fr3.contract_cases import cameras_case, robot_case
-from roboneuron.testing.cases import PackageCase, PerceptionCase, RobotCase
-from roboneuron.testing.contracts import PackageContract, PerceptionContract, RobotContract
+from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
+from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
 
 
 class TestFr3(RobotContract):

@@ -17,9 +17,9 @@ from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraProfile
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
-from roboneuron.testing.fakes import MemoryTopics
 
 Open = Callable[..., SimulatedCameras]
 

@@ -18,9 +18,9 @@ from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.pace import Pace
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.state_message import TOPIC, from_message, to_message
+from rn_testing.fakes import MemoryTopics, gantry_profile
 from roboneuron.contract import JointCommand
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
-from roboneuron.testing.fakes import MemoryTopics, gantry_profile
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float = 20.0) -> None:

@@ -26,10 +26,10 @@ from mcp.client.stdio import stdio_client
 
 from rn_demo.agent import Agent, module_status
 from rn_runtime_sglang.standin.site import write_site
+from rn_testing.domain import free_ros_domain
 from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny
 from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 _DISCOVERY_S = 10.0
 """An onlooker may hear of new endpoints, and that dead ones are gone, later than the modules do."""

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_runtime_torch.case import torch_case
-from roboneuron.testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
+from rn_testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
 
 
 class TestTorchRuntime(RuntimeContract):

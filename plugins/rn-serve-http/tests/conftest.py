@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from rn_serve_http.plugin import FEATURE
+from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
-from roboneuron.testing.fakes import fake_registry
 
 MODULES = """
 [robot]
@@ -34,7 +34,7 @@ PLUGIN = """
 import threading
 
 from roboneuron import NotReadyError, PerceptionSpec, hookimpl
-from roboneuron.testing.fakes import FAKE_BACKEND, FAKE_CONTROLLER, FAKE_PERCEPTION, FAKE_ROBOT
+from rn_testing.fakes import FAKE_BACKEND, FAKE_CONTROLLER, FAKE_PERCEPTION, FAKE_ROBOT
 
 
 class SilentSource:

@@ -12,13 +12,13 @@ from rn_serve_http.origins import HostRules
 from rn_serve_http.plugin import FEATURE
 from rn_serve_http.server import listen
 from rn_serve_http.tokens import TokenFiles, TokenTable, read_tokens
+from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.cli.serve import configure, with_server
 from roboneuron.config import Config, parse_config
 from roboneuron.config.features import feature_options
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.serving import serve
-from roboneuron.testing.fakes import fake_registry
 
 GOOD = "a-token-of-sufficient-length"
 REGISTRY = fake_registry(FEATURE)

@@ -14,12 +14,12 @@ from mcp import Client
 
 from rn_serve_http.feature import HttpFeature
 from rn_serve_http.plugin import FEATURE
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[[str], Application]
 

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from rn_switching.replacing import Switching
+from rn_testing.fakes import gantry_profile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.requests import StartControl, StartPerception
-from roboneuron.testing.fakes import gantry_profile
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Witness, moving_loop, quiet

@@ -11,11 +11,11 @@ import pytest
 from mcp import Client, types
 
 from rn_switching.plugin import FEATURE
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from rn_tools_arm.plugin import FEATURE
 from rn_tools_ros.plugin import FEATURE as ROS_FEATURE
 from roboneuron.config import parse_config
@@ -16,7 +17,6 @@ from roboneuron.server.app import Application
 from roboneuron.server.motion.exposed import renamed
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[..., Application]
 

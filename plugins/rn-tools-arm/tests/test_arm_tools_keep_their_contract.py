@@ -2,8 +2,8 @@
 
 import pytest
 
+from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 from rn_tools_arm.plugin import FEATURE
-from roboneuron.testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 
 
 class TestArmTools(FeatureContract):

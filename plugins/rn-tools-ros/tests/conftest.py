@@ -14,6 +14,8 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_registry
 from rn_tools_arm.plugin import FEATURE as ARM_FEATURE
 from rn_tools_ros.plugin import FEATURE
 from roboneuron.config import parse_config
@@ -22,8 +24,6 @@ from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
-from roboneuron.testing.fakes import fake_registry
 
 EXPOSED = """
 [robot]

@@ -14,13 +14,13 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposing import Admin
 from rn_tools_ros.options import ExposeConfig
 from rn_tools_ros.plugin import FEATURE
 from roboneuron import Feature, FeatureSpec
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError, StateError
 from roboneuron.server.app import Application
-from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[..., Application]
 LOCAL = """

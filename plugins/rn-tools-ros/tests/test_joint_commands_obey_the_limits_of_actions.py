@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from rn_testing.fakes import gantry_profile
 from roboneuron.contract import RobotProfile
 from roboneuron.gate.joints import joint_commands
 from roboneuron.gate.limits import sent_types
 from roboneuron.server.motion.exposed import is_joint_limited
-from roboneuron.testing.fakes import gantry_profile
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 JOINTS = ["slide_x", "slide_y", "slide_z", "yaw", "pitch", "roll", "finger"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposing import Admin
 from rn_tools_ros.exposure import Exposure, exposure
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
@@ -20,7 +21,6 @@ from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.app import Application
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.testing.fakes import fake_registry
 
 ROVER = """
 [robot]

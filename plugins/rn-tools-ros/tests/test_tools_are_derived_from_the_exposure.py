@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposure import Exposure, exposure
 from rn_tools_ros.naming import PATTERNS, to_label, tool_name
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
@@ -20,7 +21,6 @@ from roboneuron.config.features import feature_options
 from roboneuron.errors import ConfigurationError
 from roboneuron.interfaces import list_interfaces, load_message
 from roboneuron.server.app import Application
-from roboneuron.testing.fakes import fake_registry
 
 Make = Callable[..., Application]
 TWIST = 'kind = "publish"\ntopic = "cmd_vel"\ntype = "geometry_msgs/msg/Twist"\n'

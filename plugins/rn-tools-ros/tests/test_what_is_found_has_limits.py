@@ -9,6 +9,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_testing.fakes import gantry_profile
 from rn_tools_ros.discovered_limits import check_patterns, limit
 from rn_tools_ros.discovery import LiveGraph
 from rn_tools_ros.plugin import FEATURE
@@ -19,7 +20,6 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.interfaces import load_interface
 from roboneuron.server.app import Application
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.testing.fakes import gantry_profile
 
 TWIST = "geometry_msgs/msg/Twist"
 RANGES = f'[discover.limits."{TWIST}"]\n"linear.x" = [-0.5, 0.5]\n"angular.z" = [-1, 1]\n"*" = [0, 0]\n'

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rn_testing.rule import Violation
 from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, RowsReply, TokenReply, TokenRequest
 from rn_vla.testing import check_token_answer, late
-from roboneuron.testing.rule import Violation
 
 VOCABULARY = 32
 REQUEST = TokenRequest(

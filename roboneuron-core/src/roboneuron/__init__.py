@@ -20,6 +20,9 @@ if TYPE_CHECKING:
         PostureInspector, Proximity, RobotDriver, RobotProfile, RobotState, Runtime, TWIST_FIELDS, Topics, Workspace,
         apply_delta, check_action_vector, check_rgb8, check_twist, frame_from_buffer,
     )
+    from roboneuron.contract.rotation import (
+        matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix, rotvec_from_matrix,
+    )
     from roboneuron.errors import (
         CheckpointError, ConfigurationError, InternalError, InvalidInputError, MissingDependencyError, NotReadyError,
         PlanningError, PluginError, RefusedError, RoboNeuronError, StateError, UngroundedError, UnsafeError,
@@ -47,6 +50,9 @@ _PLACES = {
         "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",
         "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector",
         "check_rgb8", "check_twist", "frame_from_buffer",
+    ),
+    "roboneuron.contract.rotation": (
+        "matrix_from_quaternion", "matrix_from_rotvec", "quaternion_from_matrix", "rotvec_from_matrix",
     ),
     "roboneuron.errors": (
         "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
@@ -85,6 +91,7 @@ __all__ = [  # noqa: RUF022
     "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile", "RobotState",
     "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist",
     "frame_from_buffer",
+    "matrix_from_quaternion", "matrix_from_rotvec", "quaternion_from_matrix", "rotvec_from_matrix",
     "CheckpointError", "ConfigurationError", "InternalError", "InvalidInputError", "MissingDependencyError",
     "NotReadyError", "PlanningError", "PluginError", "RefusedError", "RoboNeuronError", "StateError",
     "UngroundedError", "UnsafeError",

@@ -121,7 +121,7 @@ def test_an_instruction_without_an_object_ends_the_demo_with_one_line(tmp_path: 
 
 @pytest.fixture
 def free_domain() -> str:
-    from roboneuron.testing.domain import free_ros_domain
+    from rn_testing.domain import free_ros_domain
 
     return str(free_ros_domain())
 

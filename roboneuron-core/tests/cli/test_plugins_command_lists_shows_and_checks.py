@@ -11,12 +11,12 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from roboneuron.cli import plugin_check, plugin_listing
+from rn_testing.fakes import fake_registry
+from roboneuron.cli import plugin_listing
 from roboneuron.cli.main import main
 from roboneuron.cli.plugin_detail import find
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover_from
-from roboneuron.testing.fakes import fake_registry
 
 SCHEMA = Path(__file__).parents[3] / "docs" / "reference" / "plugins-list.schema.json"
 
@@ -123,57 +123,45 @@ def test_find_takes_offers_by_name_and_kind():
         find(registry, "gantry", "backend")
 
 
-def test_options_are_toml_values_or_text():
-    parsed = plugin_check.parse_options(["gain=0.5", "path=/tmp/x", 'name="a b"', "sizes=[1, 2]", "on=true"])
-    assert parsed == {"gain": 0.5, "path": "/tmp/x", "name": "a b", "sizes": [1, 2], "on": True}
-    with pytest.raises(ConfigurationError, match="expected KEY=VALUE"):
-        plugin_check.parse_options(["gain"])
+CHECKER = """
+class Checker:
+    \"\"\"Check.\"\"\"
+    def configure(self, parser):
+        parser.add_argument("--config")
+        parser.add_argument("name")
+        parser.add_argument("--json", action="store_true")
+    def run(self, arguments):
+        print("checked", arguments.name, arguments.json, arguments.config)
+        return 1
+
+@hookimpl
+def roboneuron_commands():
+    return [CommandSpec(name="plugins-check", summary="checks", target="rn_kit_plugin:Checker")]
+"""
 
 
-def _worker(monkeypatch, tmp_path, body):
-    """Replaces the worker by a script that writes one result and then does `body`."""
-    begun = {"subject": "rn-x", "rule": "x/one", "text": "One."}
-    decided = {**begun, "verdict": "passed", "detail": "", "traceback": ""}
-    lines = [json.dumps(begun), json.dumps(decided), json.dumps({**begun, "rule": "x/two"})]
-    script = "import sys\n" + "".join(f"print({line!r}, flush=True)\n" for line in lines) + body
-    (tmp_path / "lost_worker.py").write_text(script)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(plugin_check, "WORKER", "lost_worker")
+def test_check_hands_its_words_over_to_the_command_of_a_plugin(only, tmp_path, capsys):
+    only.install("rn-kit", CHECKER)
+    config = tmp_path / "roboneuron.toml"
+    config.write_text("disabled_plugins = []\n")
+    assert main(["plugins", "--config", str(config), "check", "--json", "rn-kit"]) == 1
+    assert capsys.readouterr().out == f"checked rn-kit True {config}\n"
+    with pytest.raises(SystemExit):
+        main(["plugins", "check", "--help"])
+    assert "usage: roboneuron plugins check [-h]" in capsys.readouterr().out
 
 
-def test_a_check_that_hangs_is_ended_and_names_the_rule(monkeypatch, tmp_path):
-    pid_file = tmp_path / "pid"
-    body = f"import os, time, pathlib\npathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))\ntime.sleep(60)\n"
-    _worker(monkeypatch, tmp_path, body)
-    results = plugin_check.run_worker("{}", 3.0)
-    assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "timeout")]
-    assert not Path(f"/proc/{pid_file.read_text()}").exists()
+def test_check_without_such_a_plugin_says_what_to_install(only, capsys):
+    assert main(["plugins", "check", "rn-kit"]) == 2
+    error = capsys.readouterr().err
+    assert "the package rn-testing brings it" in error
+    assert "pip install ./plugins/rn-testing" in error
 
 
-@pytest.mark.parametrize("end", ["", "time.sleep(60)", "os._exit(0)"])
-def test_the_folders_that_a_case_makes_are_removed_however_the_check_ends(monkeypatch, tmp_path, end):
-    told = tmp_path / "folder"
-    body = (
-        "import os, pathlib, tempfile, time\nmade = tempfile.mkdtemp()\n"
-        f"pathlib.Path(made, 'weights').write_text('1')\npathlib.Path({str(told)!r}).write_text(made)\n{end}\n"
-    )
-    _worker(monkeypatch, tmp_path, body)
-    plugin_check.run_worker("{}", 3.0)
-    assert told.read_text()
-    assert not Path(told.read_text()).exists()
-
-
-def test_a_check_that_crashes_names_the_rule_and_the_reason(monkeypatch, tmp_path):
-    _worker(monkeypatch, tmp_path, "raise SystemExit('the plugin took the process down')\n")
-    results = plugin_check.run_worker("{}", 20.0)
-    assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "crashed")]
-    assert "took the process down" in results[1].detail
-
-
-def test_check_of_what_is_not_ready_says_why_and_fails(only, capsys):
-    only.install("rn-bad", GOOD.replace('"good"', '"odd"').replace("summary", "contract=99, summary"))
-    assert main(["plugins", "check", "odd"]) == 1
-    assert "incompatible" in capsys.readouterr().out
+def test_a_command_that_is_not_installed_is_named_with_its_package(only, monkeypatch, capsys):
+    monkeypatch.setattr("roboneuron.cli.main.discover", only.discover)
+    assert main(["new", "backend", "nod"]) == 2
+    assert "the package rn-testing brings it" in capsys.readouterr().err
 
 
 def test_listing_everything_installed_imports_nothing_heavy():
@@ -196,4 +184,4 @@ def test_help_lists_every_command_without_importing_it(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--help"])
     assert ended.value.code == 0
-    assert "write a plugin package" in capsys.readouterr().out
+    assert "list, show and check the installed plugins" in capsys.readouterr().out

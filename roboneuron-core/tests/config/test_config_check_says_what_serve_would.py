@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
@@ -13,7 +14,6 @@ from roboneuron.plugins.record import PluginRecord, Status
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.sections import check_configuration, check_sections
-from roboneuron.testing.fakes import fake_registry
 
 REGISTRY = fake_registry(BackendSpec(name="plain", summary="Takes no options.", target="nowhere:X"))
 ROBOT = '[robot]\nname = "gantry"\n'

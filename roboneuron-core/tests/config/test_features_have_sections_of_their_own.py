@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
 from roboneuron.config import parse_config
 from roboneuron.config.features import feature_options
@@ -11,7 +12,6 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.plugins.record import Offer, Status
 from roboneuron.plugins.registry import Registry
-from roboneuron.testing.fakes import fake_registry
 
 ROBOT = '[robot]\nname = "gantry"\n'
 RECORDER = FeatureSpec(name="run-recorder", summary="Records.", target="m:F", config=f"{__name__}:RecorderSection")

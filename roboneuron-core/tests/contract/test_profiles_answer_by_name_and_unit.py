@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rn_testing.fakes import gantry_profile
 from roboneuron import errors
 from roboneuron.contract import CameraCalibration, CameraProfile, GripperProfile
-from roboneuron.testing.fakes import gantry_profile
 
 GRIPPERS = st.builds(
     lambda closed, span, sign: GripperProfile(joint="f", closed_position=closed, open_position=closed + sign * span),

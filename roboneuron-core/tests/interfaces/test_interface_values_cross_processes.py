@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.interfaces import list_interfaces
-from roboneuron.testing.domain import free_ros_domain
 
 pytest.importorskip("test_msgs", reason="pip install ros-jazzy-test-msgs")
 

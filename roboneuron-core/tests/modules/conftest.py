@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
 BASE = """

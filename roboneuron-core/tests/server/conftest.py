@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
-from roboneuron.testing.fakes import fake_registry
 
 CONFIG = """
 [robot]

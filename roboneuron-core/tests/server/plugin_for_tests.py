@@ -24,8 +24,8 @@ class TickingSource:
         self.open_s = time.monotonic()
 
     def read(self, timeout_s):
+        from rn_testing.fakes import gradient_image
         from roboneuron.contract import Frame
-        from roboneuron.testing.fakes import gradient_image
 
         time.sleep(0.05 / len(self.cameras))
         self.index += 1
@@ -49,8 +49,8 @@ class SilentSource(TickingSource):
 
 def picky(config, runtime=None, acceleration=None):
     """A backend that cannot act on unicorns."""
+    from rn_testing.fakes import InstantBackend
     from roboneuron.errors import UngroundedError
-    from roboneuron.testing.fakes import InstantBackend
 
     class Picky(InstantBackend):
         def predict(self, observation):
@@ -64,7 +64,7 @@ def picky(config, runtime=None, acceleration=None):
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
     """Offer the fakes."""
-    from roboneuron.testing.fakes.backend import FAKE_BACKEND
+    from rn_testing.fakes.backend import FAKE_BACKEND
 
     here = "rn_server_tests_plugin"
     return [
@@ -88,7 +88,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 @hookimpl
 def roboneuron_controllers():
     """Offer the fake controller."""
-    from roboneuron.testing.fakes.controller import FAKE_CONTROLLER
+    from rn_testing.fakes.controller import FAKE_CONTROLLER
 
     return [FAKE_CONTROLLER]
 
@@ -96,6 +96,6 @@ def roboneuron_controllers():
 @hookimpl
 def roboneuron_robots():
     """Offer the fake robot."""
-    from roboneuron.testing.fakes.robot import FAKE_ROBOT
+    from rn_testing.fakes.robot import FAKE_ROBOT
 
     return [FAKE_ROBOT]

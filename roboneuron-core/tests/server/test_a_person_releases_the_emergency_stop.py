@@ -15,13 +15,13 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
-from roboneuron.testing.fakes import fake_registry
 
 pytestmark = pytest.mark.ros
 MODES = ("auto", "legacy")

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, ConfigDict
 
+from rn_testing.fakes import fake_registry
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import CheckpointError, InvalidInputError, RefusedError
 from roboneuron.gate.request import ADMIN, OPERATOR
@@ -17,7 +18,6 @@ from roboneuron.plugins.restricted import ConfigurationOnly
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.requests import StartInference
 from roboneuron.server.selection import Selection, select_inference
-from roboneuron.testing.fakes import fake_registry
 
 
 class Camera(BaseModel):

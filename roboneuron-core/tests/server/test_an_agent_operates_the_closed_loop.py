@@ -18,7 +18,7 @@ import pytest
 from mcp import Client, StdioServerParameters, types
 from PIL import Image
 
-from roboneuron.testing.fakes import gradient_image
+from rn_testing.fakes import gradient_image
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 ServeCommand = Callable[..., list[str]]

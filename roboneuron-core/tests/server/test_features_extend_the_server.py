@@ -9,6 +9,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_testing.fakes import fake_registry
 from roboneuron import CallContext, Feature, FeatureSpec, Host, NoArguments, Resource, Result, StateError, Tool
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
@@ -16,7 +17,6 @@ from roboneuron.server.app import Application
 from roboneuron.server.feature import Transport
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.fakes import fake_registry
 
 TRACE: list[str] = []
 

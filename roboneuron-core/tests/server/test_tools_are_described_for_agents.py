@@ -10,12 +10,12 @@ import jsonschema
 import pytest
 from mcp import Client, types
 
+from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.testing.fakes import fake_registry
 
 TOOLS = {
     *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction"),

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.testing.domain import free_ros_domain
 
 FAKE_MODULE = Path(__file__).with_name("fake_module.py")
 

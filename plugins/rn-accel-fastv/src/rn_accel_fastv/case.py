@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rn_accel_fastv.plugin import roboneuron_accelerations
+from rn_testing import AccelerationCase
 from roboneuron import AccelerationSpec
-from roboneuron.testing import AccelerationCase
 
 
 def p25_case() -> AccelerationCase:

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from rn_backend_oft.plugin import roboneuron_backends
+from rn_testing import BackendCase
 from roboneuron import BackendSpec
-from roboneuron.testing import BackendCase
 
 
 def oft_case() -> BackendCase:

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from rn_backend_pi0.plugin import roboneuron_backends
-from roboneuron.testing import BackendCase
+from rn_testing import BackendCase
 
 
 def native_case() -> BackendCase:

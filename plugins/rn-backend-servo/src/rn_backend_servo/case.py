@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from rn_backend_servo.cube import cube_corners
 from rn_backend_servo.geometry import View
 from rn_backend_servo.plugin import roboneuron_backends
+from rn_testing.cases import BackendCase
 from roboneuron import CameraCalibration, Frame, JointSample, Observation, Pose
-from roboneuron.testing.cases import BackendCase
 
 F64 = NDArray[np.float64]
 

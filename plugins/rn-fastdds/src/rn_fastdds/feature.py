@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 
-from rn_fastdds.lost_ports import watch_ports
+from rn_fastdds.lost_ports import PortWatch
 from rn_fastdds.processes import ProcessCleaner
 from rn_fastdds.segments import owned_segments
 from rn_fastdds.shared_memory import RECORD_NAME, SegmentRecord, clean_abandoned, clean_recorded
@@ -19,6 +19,7 @@ class SharedMemoryRepair(Feature[None]):
 
     _cleaner: ProcessCleaner | None = None
     _record: SegmentRecord | None = None
+    _ports: PortWatch | None = None
 
     def start(self, host: Host) -> None:
         """Clean up after servers and programs that were killed; follow the modules from now on."""
@@ -31,10 +32,13 @@ class SharedMemoryRepair(Feature[None]):
         self._record.add(owned_segments(os.getpid()))
         self._cleaner = ProcessCleaner(self._record)
         host.supervisor.observers.add(self._cleaner)
-        watch_ports()
+        self._ports = PortWatch()
+        self._ports.start()
 
     def close(self) -> None:
         """Close the ports of ended modules and remove what is left of their files."""
+        if self._ports is not None:
+            self._ports.close()
         if self._cleaner is not None and self._record is not None:
             self._cleaner.close()
             self._record.close()

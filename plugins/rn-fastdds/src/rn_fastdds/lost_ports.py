@@ -113,22 +113,35 @@ def _inode(port: int) -> int | None:
         return None
 
 
-_watching = threading.Lock()
+class PortWatch:
+    """Looks after this process's ports on a thread of its own, from `start` to `close`."""
+
+    def __init__(self) -> None:
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="lost-ports", daemon=True)
+
+    def start(self) -> None:
+        """Begin; may be called once."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End, after the look that may be under way."""
+        self._end.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        ports = LostPorts()
+        while not self._end.wait(LOOK_S):
+            try:
+                given_back = ports.look()
+            except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
+                log.warning("Shared-memory ports are not looked after: %s", error)
+                return
+            for port in given_back:
+                log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
 
 
 def watch_ports() -> None:
-    """Look after this process's ports on a thread of its own from now on; does nothing the second time."""
-    if _watching.acquire(blocking=False):
-        threading.Thread(target=_watch, name="lost-ports", daemon=True).start()
-
-
-def _watch() -> None:
-    ports, pause = LostPorts(), threading.Event()
-    while not pause.wait(LOOK_S):
-        try:
-            given_back = ports.look()
-        except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
-            log.warning("Shared-memory ports are not looked after: %s", error)
-            return
-        for port in given_back:
-            log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
+    """Look after this process's ports until it ends; every module process calls it once."""
+    PortWatch().start()

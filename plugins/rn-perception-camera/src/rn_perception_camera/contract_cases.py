@@ -9,9 +9,9 @@ import tempfile
 from pathlib import Path
 
 from rn_perception_camera.plugin import roboneuron_perceptions
+from rn_testing.cases import PerceptionCase
+from rn_testing.fakes import MemoryTopics, gantry_profile, gradient_image
 from roboneuron import PerceptionSpec
-from roboneuron.testing.cases import PerceptionCase
-from roboneuron.testing.fakes import MemoryTopics, gantry_profile, gradient_image
 
 _NS_PER_S = 1_000_000_000
 

@@ -13,8 +13,8 @@ from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
-from roboneuron.testing.cases import PerceptionCase, RobotCase
-from roboneuron.testing.fakes import MemoryTopics
+from rn_testing.cases import PerceptionCase, RobotCase
+from rn_testing.fakes import MemoryTopics
 
 
 def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
+from rn_testing import RuntimeCase
 from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, TokenRequest
-from roboneuron.testing import RuntimeCase
 
 
 def sglang_case() -> RuntimeCase:

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from rn_runtime_torch.plugin import roboneuron_runtimes
-from roboneuron.testing import RuntimeCase
+from rn_testing import RuntimeCase
 
 
 def torch_case() -> RuntimeCase:

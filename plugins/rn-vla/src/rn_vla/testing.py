@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rn_testing.rule import Violation, require
 from rn_vla.decoding import PolicyModel, Reply, TokenReply, TokenRequest
-from roboneuron.testing.rule import Violation, require
 
 
 def late(request: TokenRequest) -> TokenRequest:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from importlib import import_module
 from typing import NamedTuple, Protocol, cast
 
+from roboneuron.cli.terminal import add_verbosity, apply_verbosity
 from roboneuron.errors import PluginError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.record import Status
@@ -39,7 +41,6 @@ COMMANDS: dict[str, Command] = {
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
-    "new": Command("roboneuron.cli.new", "write a plugin package that passes its contract tests"),
 }
 """Command by name, in the order of `roboneuron --help`."""
 
@@ -69,3 +70,13 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
     if not (callable(getattr(command, "configure", None)) and callable(getattr(command, "run", None))):
         raise PluginError(f"The command {name!r} is {command!r}, expected the methods configure and run.")
     return cast(CommandModule, command)
+
+
+def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
+    """Parse the words after `prog` as the command says, run it and return its exit status."""
+    parser = ArgumentParser(prog=prog, description=command.__doc__)
+    command.configure(parser)
+    add_verbosity(parser)
+    arguments = parser.parse_args(words)
+    apply_verbosity(arguments)
+    return command.run(arguments)

@@ -8,15 +8,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 from roboneuron import __version__
-from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
-from roboneuron.cli.terminal import (
-    EXIT_USAGE,
-    accept_any_text,
-    add_verbosity,
-    apply_verbosity,
-    show_error,
-    with_verbosity_behind,
-)
+from roboneuron.cli.commands import COMMANDS, installed_commands, load_command, run_command
+from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error, with_verbosity_behind
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.registry import Registry
@@ -56,27 +49,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
     name, *rest = words
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
-    if registry is not None and not (
-        any(offer.spec.name == name for offer in registry.offers("command")) or package_of("command", name)
-    ):
+    if registry is not None and not _is_known(name, registry):
         names = [*COMMANDS, *installed_commands(registry)]
         close = get_close_matches(name, names, n=1)
         nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."
         print(f"roboneuron: there is no command {name!r}; {nearest}", file=sys.stderr)
         return EXIT_USAGE
     try:
-        module = load_command(name, registry)
-        command_parser = ArgumentParser(prog=f"roboneuron {name}", description=module.__doc__)
-        module.configure(command_parser)
-        add_verbosity(command_parser)
-        arguments = command_parser.parse_args(rest)
-        apply_verbosity(arguments)
-        return module.run(arguments)
+        return run_command(load_command(name, registry), f"roboneuron {name}", rest)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return EXIT_OK
     except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:  # the border to whoever typed the command
         return show_error(error)
+
+
+def _is_known(name: str, registry: Registry) -> bool:
+    """An installed plugin offers the command, or it is known which package does."""
+    return any(o.spec.name == name for o in registry.offers("command")) or package_of("command", name) is not None
 
 
 if __name__ == "__main__":

@@ -6,9 +6,13 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from roboneuron.cli.commands import load_command, run_command
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import KINDS
+
+CHECK = "plugins-check"
+"""The command, of whatever plugin offers it, that `roboneuron plugins check` hands over to."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -26,35 +30,24 @@ def configure(parser: ArgumentParser) -> None:
     detail.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
     detail.add_argument("--kind", choices=sorted(KINDS), help="look at offers of this kind only")
 
-    check = actions.add_parser("check", help="run the contract rules against an installed plugin")
-    check.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
-    check.add_argument("--kind", choices=sorted(KINDS), help="check offers of this kind only")
-    check.add_argument(
-        "--option", action="append", default=[], metavar="KEY=VALUE", help="option of the plugin; VALUE as in TOML"
+    # The command that does it parses its words itself: here all are arguments, also those that begin with a hyphen.
+    check = actions.add_parser(
+        "check", help="run the contract rules against a plugin", add_help=False, prefix_chars="\0"
     )
-    check.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="bound for the whole (120)")
-    check.add_argument("--json", action="store_true", help="machine-readable results")
+    check.add_argument("words", nargs="*")
 
 
 def run(arguments: Namespace) -> int:
     """Run one action of `roboneuron plugins`."""
-    registry = discover(_disabled(arguments.config))
+    registry = discover(read_disabled(arguments.config))
     if arguments.action == "list":
         return _list(registry, as_json=arguments.json, strict=arguments.strict)
     if arguments.action == "show":
         from roboneuron.cli.plugin_detail import show
 
         return show(registry, arguments.name, arguments.kind)
-    from roboneuron.cli.plugin_check import check
-
-    return check(
-        registry,
-        arguments.name,
-        kind=arguments.kind,
-        options=arguments.option,
-        timeout_s=arguments.timeout,
-        as_json=arguments.json,
-    )
+    config = () if arguments.config is None else ("--config", str(arguments.config))
+    return run_command(load_command(CHECK, registry), "roboneuron plugins check", (*config, *arguments.words))
 
 
 def _list(registry: Registry, *, as_json: bool, strict: bool) -> int:
@@ -67,7 +60,7 @@ def _list(registry: Registry, *, as_json: bool, strict: bool) -> int:
     return 1 if strict and plugin_listing.troubled(registry) else 0
 
 
-def _disabled(config: Path | None) -> tuple[str, ...]:
+def read_disabled(config: Path | None) -> tuple[str, ...]:
     """`disabled_plugins` of a configuration file, read without the models that check the rest of it."""
     if config is None:
         return ()

@@ -63,9 +63,9 @@ class Spec:
         config: "module:attribute" of the pydantic options model, or None.
         requires: modules that must be importable before `target` is.
         contract: the CONTRACT_VERSION the plugin was written for.
-        case: "module:attribute" of a function without arguments that returns this descriptor's contract case (see
-            `roboneuron.testing.cases`): what `roboneuron plugins check` needs to try it (an observation it can act on,
-            a small checkpoint); None when its options' defaults and synthetic input suffice. Never loaded otherwise.
+        case: "module:attribute" of a function without arguments that returns this descriptor's contract case: what
+            `roboneuron plugins check` needs to try it (an observation it can act on, a small checkpoint); None when its
+            options' defaults and synthetic input suffice. Never loaded otherwise.
     """
 
     kind: ClassVar[str] = ""

@@ -1,0 +1,80 @@
+"""The contract kit: subclass one class per kind, give one fixture, and every rule of that kind is tested.
+
+    from rn_testing import BackendCase, BackendContract
+
+    class TestMyPolicy(BackendContract):
+        @pytest.fixture
+        def plugin(self) -> BackendCase:
+            return BackendCase(spec=MY_POLICY)
+
+Only the contract classes need pytest; rules, cases and fakes do not. Names are imported when they are first asked for,
+so that the plugin module of this package stays light. Production code imports nothing of it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rn_testing.cases import (
+        AccelerationCase,
+        BackendCase,
+        Case,
+        CommandCase,
+        ControllerCase,
+        FeatureCase,
+        PackageCase,
+        PerceptionCase,
+        RobotCase,
+        RuntimeCase,
+    )
+    from rn_testing.contracts import (
+        AccelerationContract,
+        BackendContract,
+        CommandContract,
+        ControllerContract,
+        FeatureContract,
+        PackageContract,
+        PerceptionContract,
+        RobotContract,
+        RuntimeContract,
+    )
+    from rn_testing.rule import NotApplicable, Outcome, Rule, Verdict, Violation, verify
+
+__all__ = [
+    "AccelerationCase",
+    "AccelerationContract",
+    "BackendCase",
+    "BackendContract",
+    "Case",
+    "CommandCase",
+    "CommandContract",
+    "ControllerCase",
+    "ControllerContract",
+    "FeatureCase",
+    "FeatureContract",
+    "NotApplicable",
+    "Outcome",
+    "PackageCase",
+    "PackageContract",
+    "PerceptionCase",
+    "PerceptionContract",
+    "RobotCase",
+    "RobotContract",
+    "Rule",
+    "RuntimeCase",
+    "RuntimeContract",
+    "Verdict",
+    "Violation",
+    "verify",
+]
+
+
+def __getattr__(name: str) -> object:
+    """A public name, imported when it is first asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    suffixes = {"Case": "cases", "Contract": "contracts"}
+    module = next((place for suffix, place in suffixes.items() if name.endswith(suffix)), "rule")
+    return getattr(import_module(f"{__name__}.{module}"), name)

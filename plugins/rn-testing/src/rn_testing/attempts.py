@@ -1,0 +1,25 @@
+"""Starting what a case builds: for an automatic case, what cannot start makes a rule not applicable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rn_testing.cases import Case
+from rn_testing.rule import NotApplicable
+from roboneuron.errors import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
+
+T = TypeVar("T")
+
+UNSTARTABLE = (CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError)
+"""What an automatic case may meet for want of options, weights or hardware."""
+
+
+def attempt(case: Case[Any], start: Callable[[], T]) -> T:
+    """Return what `start` returns; for an automatic case what cannot start makes the rule not applicable."""
+    try:
+        return start()
+    except UNSTARTABLE as error:
+        if case.is_automatic:
+            raise NotApplicable(f"cannot be started as it is: {error}") from error
+        raise

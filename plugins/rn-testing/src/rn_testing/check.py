@@ -1,0 +1,83 @@
+"""`python -m rn_testing.check`: the rules of one installed plugin, one JSON line per rule, as they are decided.
+
+Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds one JSON object:
+`distribution`, `offers` (a list of kind and name) and `options`. Standard output holds, per rule, first
+{"subject", "rule", "text"} when it is begun and then the same with "verdict", "detail" and "traceback".
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any, TextIO, TypedDict
+
+from rn_testing.automatic import make_case
+from rn_testing.cases import PackageCase
+from rn_testing.rule import Outcome, Rule, Verdict, verify
+from rn_testing.rules import RULES
+from roboneuron.errors import RoboNeuronError
+from roboneuron.plugins.discovery import discover
+
+
+class Request(TypedDict):
+    """What is to be checked."""
+
+    distribution: str
+    offers: list[tuple[str, str]]
+    options: dict[str, object]
+
+
+def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]]]:
+    """Label, case and rules of each thing to check; a case that cannot be made comes as its RoboNeuronError."""
+    yield request["distribution"], PackageCase(distribution=request["distribution"]), RULES["package"]
+    offers = [tuple(pair) for pair in request["offers"]]
+    specs = {
+        (offer.spec.kind, offer.spec.name): offer.spec
+        for offer in discover().all_offers
+        if offer.distribution == request["distribution"]
+    }
+    for kind, name in offers:
+        label = f"{kind} {name}"
+        try:
+            yield label, make_case(specs[kind, name], request["options"]), RULES[kind]
+        except RoboNeuronError as error:
+            yield label, error, RULES[kind]
+
+
+def decide(rule: Rule[Any], case: object) -> Outcome:
+    """Verify one rule; without a case it fails for the reason the case could not be made."""
+    if isinstance(case, RoboNeuronError):
+        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=f"there is no case to try: {case}")
+    return verify(rule, case)
+
+
+def run(request: Request, out: TextIO) -> None:
+    """Decide every rule and write a line before and after each."""
+
+    def write(line: Mapping[str, str]) -> None:
+        out.write(json.dumps(line) + "\n")
+        out.flush()
+
+    for subject, case, rules in subjects(request):
+        for rule in rules:
+            begun = {"subject": subject, "rule": rule.id, "text": rule.text}
+            write(begun)
+            outcome = decide(rule, case)
+            write({**begun, "verdict": outcome.verdict, "detail": outcome.detail, "traceback": outcome.traceback})
+
+
+def main() -> None:
+    """Read the request, answer on the original standard output; what plugins print goes to standard error."""
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    run(json.load(sys.stdin), answers)
+    answers.close()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # a plugin's forgotten threads do not keep this process alive
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""An installed distribution as the package rules see it: metadata, source files, and what a fresh interpreter says."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from importlib.metadata import Distribution, EntryPoint, distributions
+from pathlib import Path
+
+from rn_testing.cases import PackageCase
+from rn_testing.rule import Violation
+from roboneuron.plugins.markers import PROJECT
+
+PROBE_LIMIT_S = 60.0
+"""Bound on a fresh interpreter's start and import."""
+
+_PROBE = """
+import importlib, io, json, sys, threading, time
+import roboneuron.plugins.markers, roboneuron.plugins.specs
+sys.path[:0] = json.loads(sys.argv[1])
+before, out, threads, effects = set(sys.modules), sys.stdout, threading.active_count(), []
+WATCHED = {"socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.mkdir", "os.remove", "os.rename"}
+def audit(event, arguments):
+    if event in WATCHED and not (event.startswith("os.") and "__pycache__" in str(arguments)):
+        effects.append(f"{event} {arguments[0]}" if arguments else event)
+    elif event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
+        if "__pycache__" not in str(arguments[0]):
+            effects.append(f"writes {arguments[0]}")
+sys.addaudithook(audit)
+sys.stdout = io.StringIO()
+begun_s = time.thread_time()
+module = importlib.import_module(sys.argv[2])
+spent_s = time.thread_time() - begun_s
+effects = list(effects)
+if sys.stdout.getvalue(): effects.append(f"prints {sys.stdout.getvalue()!r:.40}")
+if threading.active_count() > threads: effects.append("starts threads")
+if spent_s > 1.0: effects.append(f"computes for {spent_s:.1f} s")
+sys.stdout = out
+loaded = sorted(set(sys.modules) - before)
+from roboneuron.plugins.discovery import read_module
+try:
+    read_module(module)
+    problem = ""
+except Exception as error:
+    problem = str(error)
+print("\\n" + json.dumps({"loaded": loaded, "problem": problem, "effects": effects}))
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Probe:
+    """What importing a plugin module in a fresh interpreter did.
+
+    Attributes:
+        loaded: names of the modules that are loaded with it and are not loaded with the markers and descriptors.
+        problem: why the module's hooks cannot be used; empty when they can.
+        effects: what else the import did, as parts of a sentence.
+    """
+
+    loaded: frozenset[str]
+    problem: str
+    effects: tuple[str, ...]
+
+
+def normalise(name: str) -> str:
+    """Project names compare as PEP 503 says."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def find_distribution(case: PackageCase) -> Distribution:
+    """The metadata of a case's distribution; raises Violation when it is not installed."""
+    for found in distributions(path=list(case.path or sys.path)):
+        if normalise(found.name) == normalise(case.distribution):
+            return found
+    raise Violation(f"{case.distribution} is not installed")
+
+
+def header(case: PackageCase, name: str) -> str:
+    """One field of the metadata; empty when absent."""
+    metadata = find_distribution(case).metadata
+    return str(metadata[name]).strip() if name in metadata else ""
+
+
+def find_entry_points(case: PackageCase) -> list[EntryPoint]:
+    """The entry points of the group `roboneuron`; raises Violation when there are none."""
+    points = [p for p in find_distribution(case).entry_points if p.group == PROJECT]
+    if not points:
+        raise Violation(f"{case.distribution} has no entry point in the group {PROJECT!r}")
+    return points
+
+
+def find_package_directory(case: PackageCase, module: str) -> Path:
+    """The directory of the top-level package that holds `module`; found, not imported."""
+    top = module.partition(".")[0]
+    spec = PathFinder.find_spec(top, list(case.path) or None)
+    if spec is None or not spec.submodule_search_locations:
+        raise Violation(f"there is no package {top!r} for the entry point's module {module!r}")
+    return Path(next(iter(spec.submodule_search_locations)))
+
+
+def source_files(case: PackageCase) -> Iterator[Path]:
+    """Every Python file of the packages that the entry points name."""
+    for directory in {find_package_directory(case, p.module) for p in find_entry_points(case)}:
+        yield from sorted(directory.rglob("*.py"))
+
+
+def hosted_directories(case: PackageCase) -> Iterator[Path]:
+    """Subpackages that programs other than RoboNeuron load, by entry points in groups of theirs."""
+    for point in find_distribution(case).entry_points:
+        inner = point.module.split(".")[1:-1]
+        if point.group not in (PROJECT, "console_scripts") and inner:
+            yield find_package_directory(case, point.module).joinpath(*inner)
+
+
+def imported_modules(path: Path) -> Iterator[tuple[str, int]]:
+    """Absolute names of the modules that a file imports anywhere, with line numbers."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if name in ("import_module", "__import__") and isinstance(node.args[0].value, str):
+                yield node.args[0].value, node.lineno
+
+
+def requirements(case: PackageCase) -> frozenset[str]:
+    """Normalised names of the distributions that it declares to need, those of extras included."""
+    lines = find_distribution(case).requires or []
+    return frozenset(normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines)
+
+
+@functools.lru_cache(maxsize=16)
+def probe(case: PackageCase, module: str) -> Probe:
+    """Import `module` in a fresh interpreter, once per case; raises Violation when that fails."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE, json.dumps(list(case.path)), module],
+            capture_output=True,
+            text=True,
+            timeout=PROBE_LIMIT_S,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise Violation(f"importing {module} took longer than {PROBE_LIMIT_S:g} s") from error
+    if done.returncode != 0:
+        last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
+        raise Violation(f"importing {module} failed: {last[0]}")
+    answer = json.loads(done.stdout.strip().splitlines()[-1])
+    return Probe(loaded=frozenset(answer["loaded"]), problem=answer["problem"], effects=tuple(answer["effects"]))

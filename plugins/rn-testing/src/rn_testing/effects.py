@@ -1,0 +1,205 @@
+"""What a piece of code does besides computing: files, sockets, processes, threads, processor time."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import itertools
+import os
+import sys
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TypeVar
+
+from rn_testing.rule import NotApplicable, Violation
+from roboneuron.errors import RoboNeuronError
+
+T = TypeVar("T")
+
+HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujoco", "pinocchio")
+"""Modules whose import takes so long that it belongs into `load` or `open`."""
+PURE_CPU_S = 0.5
+"""Processor time a constructor may take; generous, since what it must not do takes seconds."""
+MANY, QUICK_S = 200, 0.001
+"""Calls per round of the memory check, and how quick a call must be for so many."""
+LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
+"""What a quick call, another one (whose bounded histories are still filling) and, of memory that Python does not know,
+any call may keep; below is noise."""
+
+_EVENTS = {
+    "open": "opens the file",
+    "socket.connect": "connects to",
+    "socket.bind": "binds",
+    "subprocess.Popen": "starts the process",
+    "os.posix_spawn": "starts the process",
+    "os.fork": "forks",
+    "os.system": "runs the command",
+    "_thread.start_new_thread": "starts the thread",  # from Python 3.12 on; before, only threads that last are seen
+}
+_IMPORT_SUFFIXES = (".py", ".pyc", ".so")
+_observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
+
+
+def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
+    """Run `action` in this thread; return its result and a sentence part for each effect it had."""
+    _install_hook()
+    effects: list[str] = []
+    loaded = set(sys.modules)
+    tasks = _native_threads()
+    started_s = time.thread_time()
+    token = _observed.set(effects)
+    try:
+        result = action()
+    finally:
+        _observed.reset(token)
+    spent_s = time.thread_time() - started_s
+    effects += [f"imports {name}" for name in HEAVY_MODULES if name in sys.modules and name not in loaded]
+    if not effects and _native_threads() > tasks:
+        effects.append("starts threads")
+    if spent_s > PURE_CPU_S:
+        effects.append(f"computes for {spent_s:.1f} s")
+    return result, effects
+
+
+@functools.cache
+def _install_hook() -> None:
+    """An audit hook cannot be removed again, so there is one, and it looks only where `find_effects` is running."""
+    sys.addaudithook(_audit)
+
+
+def _audit(event: str, arguments: tuple[object, ...]) -> None:
+    effects = _observed.get()
+    if effects is None or event not in _EVENTS:
+        return
+    subject = str(arguments[0]) if arguments else ""
+    if event == "open" and (subject.isdigit() or subject.endswith(_IMPORT_SUFFIXES)):
+        return
+    effects.append(f"{_EVENTS[event]} {subject}".strip())
+
+
+def _native_threads() -> int:
+    tasks = Path("/proc/self/task")
+    return len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
+
+
+def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeuronError]) -> None:
+    """Raise Violation unless `action` raises one of `kinds` (any RoboNeuronError when none are given)."""
+    expected = kinds or (RoboNeuronError,)
+    names = " or ".join(k.__name__ for k in expected)
+    try:
+        result = action()
+    except expected:
+        return
+    except NotApplicable:
+        raise
+    except Exception as error:
+        raise Violation(f"{what} raised {type(error).__name__}: {error}; expected {names}") from error
+    raise Violation(f"{what} returned {_short(result)}, expected {names}")
+
+
+def within(limit_s: float, action: Callable[[], T], what: str) -> T:
+    """Return what `action` returns; raise Violation when it takes longer than `limit_s`, its own errors otherwise.
+
+    It runs in a daemon thread, which is left behind when it hangs.
+    """
+    outcome: list[T] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            outcome.append(action())
+        except BaseException as error:  # handed to the caller below
+            errors.append(error)
+
+    thread = threading.Thread(target=work, name="contract-rule", daemon=True)
+    thread.start()
+    thread.join(limit_s)
+    if thread.is_alive():
+        raise Violation(f"{what} did not return within {limit_s:g} s")
+    if errors:
+        raise errors[0]
+    return outcome[0]
+
+
+def wait_until(condition: Callable[[], bool], limit_s: float) -> bool:
+    """Poll until `condition` holds or `limit_s` is over; returns whether it holds."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def running() -> frozenset[str]:
+    """Names of what a closed plugin must not leave behind: Python threads and child processes of this process."""
+    threads = {f"thread {t.name} ({t.native_id})" for t in threading.enumerate() if t is not threading.current_thread()}
+    children: set[str] = set()
+    for listing in Path("/proc/self/task").glob("*/children"):
+        try:
+            children |= {f"process {pid}" for pid in listing.read_text().split()}
+        except OSError:  # the thread has ended meanwhile
+            continue
+    return frozenset(threads | children)
+
+
+def check_released(before: frozenset[str], what: str, limit_s: float = 3.0) -> None:
+    """Raise Violation when threads or child processes that were not `before` are still there after `limit_s`."""
+    if not wait_until(lambda: running() <= before, limit_s):
+        raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")
+
+
+def check_quick(limit_s: float, action: Callable[[], object], what: str, *, tries: int = 3) -> None:
+    """Raise Violation unless the quickest of some calls takes at most `limit_s`: a busy machine slows one, not all."""
+    quickest_s = float("inf")
+    for _ in range(tries):
+        begun_s = time.perf_counter()
+        action()
+        quickest_s = min(quickest_s, time.perf_counter() - begun_s)
+        if quickest_s <= limit_s:
+            return
+    raise Violation(f"{what} takes {quickest_s:.3g} s, at most {limit_s:g} s are allowed")
+
+
+def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:
+    """Raise Violation when memory grows with every call: in each of three rounds, after one that may fill caches.
+
+    Args:
+        action: the call.
+        what: its name.
+        count: calls per round; of quick ones MANY are made, which fill every bounded history and show smaller leaks.
+    """
+    begun_s = time.perf_counter()
+    action()
+    is_quick = time.perf_counter() - begun_s < QUICK_S
+    count = MANY if is_quick else count
+    traced: list[int] = []
+    resident: list[int] = []
+    tracemalloc.start(1)
+    try:
+        for _ in range(4):
+            for _ in range(count):
+                action()
+            gc.collect()
+            traced.append(tracemalloc.get_traced_memory()[0])
+            resident.append(_resident_bytes())
+    finally:
+        tracemalloc.stop()
+    for marks, allowed in ((traced, LEAK_BYTES if is_quick else SLOW_LEAK_BYTES), (resident, RESIDENT_LEAK_BYTES)):
+        kept = min(later - sooner for sooner, later in itertools.pairwise(marks)) / count
+        if kept > allowed:
+            raise Violation(f"{what} keeps about {kept:.0f} bytes of memory with every call")
+
+
+def _resident_bytes() -> int:
+    status = Path("/proc/self/statm")
+    return int(status.read_text().split()[1]) * os.sysconf("SC_PAGESIZE") if status.is_file() else 0
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

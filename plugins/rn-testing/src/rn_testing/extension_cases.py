@@ -1,0 +1,86 @@
+"""Cases of features, commands and whole packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+from rn_testing.case import Case
+from rn_testing.fakes import MemoryTopics
+from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.specs import CommandSpec, FeatureSpec
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from roboneuron.cli.commands import CommandModule
+    from roboneuron.server.feature import Feature
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureCase(Case[FeatureSpec]):
+    """A feature to try; `options` are its section of roboneuron.toml, or its sections by key when it has several.
+
+    Attributes:
+        needs: descriptors of the features that it needs.
+    """
+
+    subject: ClassVar[str] = "feature"
+
+    needs: tuple[FeatureSpec, ...] = ()
+
+    def sections(self) -> dict[str, object]:
+        """The sections as they stand in roboneuron.toml."""
+        if not self.options:
+            return {}
+        return dict(self.options) if self.spec.sections else {self.spec.keys[0]: dict(self.options)}
+
+    def options_model(self) -> type[BaseModel] | None:
+        """The class of its options."""
+        return load_options_model(self.spec)
+
+    def configuration(self) -> object:
+        """The validated options, or None when the descriptor takes none."""
+        model = self.options_model()
+        return None if model is None else model.model_validate(self.options)
+
+    def build(self) -> Feature[Any]:
+        """A new feature, not started."""
+        return cast("Feature[Any]", self.prepare()())
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandCase(Case[CommandSpec]):
+    """A command to try; it is never run."""
+
+    subject: ClassVar[str] = "command"
+
+    def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
+        """The class takes none."""
+        return (), {}
+
+    def prepare(
+        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+    ) -> Callable[[], Any]:
+        """As of every case; a command is given nothing."""
+        return self._bounded(self._target(self.spec))
+
+    def build(self) -> CommandModule:
+        """A new command."""
+        return cast("CommandModule", self.prepare()())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackageCase:
+    """An installed distribution to examine.
+
+    Attributes:
+        distribution: its name.
+        path: where its metadata are found; the interpreter's own path when empty.
+    """
+
+    subject: ClassVar[str] = "package"
+
+    distribution: str
+    path: tuple[str, ...] = ()

@@ -1,0 +1,65 @@
+"""Working stand-ins for every kind of plugin and for the ROS graph, without ROS, models or hardware.
+
+They keep the contract themselves: the kit's own tests run every rule on them.
+"""
+
+from rn_testing.fakes.backend import FAKE_BACKEND, InstantBackend, InstantOptions, make_observation
+from rn_testing.fakes.controller import FAKE_CONTROLLER, GantryController
+from rn_testing.fakes.engine import (
+    FAKE_ACCELERATION,
+    FAKE_RUNTIME,
+    CountingRuntime,
+    FakeDecoder,
+    HalvingAcceleration,
+)
+from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradient_image
+from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
+from rn_testing.fakes.topics import MemoryTopics
+from roboneuron.plugins.record import Offer, PluginRecord, Status
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import Spec
+
+FAKE_SPECS: tuple[Spec, ...] = (
+    FAKE_BACKEND,
+    FAKE_RUNTIME,
+    FAKE_ACCELERATION,
+    FAKE_PERCEPTION,
+    FAKE_CONTROLLER,
+    FAKE_ROBOT,
+)
+"""One descriptor of each kind."""
+
+
+def fake_registry(*more: Spec) -> Registry:
+    """A registry that holds the fakes and `more`, all ready, as if one plugin had offered them."""
+    specs = (*FAKE_SPECS, *more)
+    offers = tuple(Offer(spec=s, distribution="rn-fakes", status=Status.READY) for s in specs)
+    record = PluginRecord(
+        distribution="rn-fakes", version="1.0", module="rn_testing.fakes", status=Status.READY, specs=specs
+    )
+    return Registry(plugins=(record,), all_offers=offers)
+
+
+__all__ = [
+    "FAKE_ACCELERATION",
+    "FAKE_BACKEND",
+    "FAKE_CONTROLLER",
+    "FAKE_PERCEPTION",
+    "FAKE_ROBOT",
+    "FAKE_RUNTIME",
+    "FAKE_SPECS",
+    "ControlledSource",
+    "CountingRuntime",
+    "FakeDecoder",
+    "FakeDriver",
+    "FakeDriverOptions",
+    "GantryController",
+    "HalvingAcceleration",
+    "InstantBackend",
+    "InstantOptions",
+    "MemoryTopics",
+    "fake_registry",
+    "gantry_profile",
+    "gradient_image",
+    "make_observation",
+]

@@ -1,0 +1,110 @@
+"""Where the TCP is by the URDF alone, independent of the controller that is judged by it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rn_testing.rule import Violation
+from roboneuron.contract import Pose, RobotProfile
+from roboneuron.contract.motion import F64
+from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
+
+MOVABLE = ("revolute", "continuous", "prismatic")
+"""Types of joints that have one position."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class UrdfJoint:
+    """One joint of a URDF.
+
+    Attributes:
+        name, kind: as written ("revolute", "fixed" ...).
+        child: the link it carries.
+        origin: float64 (4, 4), pose of the joint in its parent link.
+        axis: float64 (3,), unit length.
+        lower, upper, velocity: its limits [rad or m, per second]; infinite where the URDF gives none.
+    """
+
+    name: str
+    kind: str
+    child: str
+    origin: F64
+    axis: F64
+    lower: float
+    upper: float
+    velocity: float
+
+    def transform(self, position: float) -> F64:
+        """Pose of the child link in the parent link, float64 (4, 4)."""
+        motion = np.eye(4)
+        if self.kind == "prismatic":
+            motion[:3, 3] = self.axis * position
+        elif self.kind in MOVABLE:
+            motion[:3, :3] = matrix_from_rotvec(self.axis * position)
+        return self.origin @ motion
+
+
+def read_joints(urdf: str) -> dict[str, tuple[str, UrdfJoint]]:
+    """Parent link and joint by child link; raises Violation for what is no URDF."""
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise Violation(f"the URDF is no XML: {error}") from error
+    joints: dict[str, tuple[str, UrdfJoint]] = {}
+    for element in root.findall("joint"):
+        joint = _read_joint(element)
+        joints[joint.child] = (_attribute(element, "parent", "link", ""), joint)
+    return joints
+
+
+def read_chain(profile: RobotProfile) -> tuple[UrdfJoint, ...]:
+    """The joints from base to TCP; raises Violation when the URDF does not connect them."""
+    joints = read_joints(profile.urdf)
+    chain: list[UrdfJoint] = []
+    link = profile.tcp_link
+    while link != profile.base_link and link in joints and len(chain) <= len(joints):
+        link, joint = joints[link]
+        chain.insert(0, joint)
+    if link != profile.base_link:
+        raise Violation(f"{profile.tcp_link!r} is not carried by {profile.base_link!r} in the URDF")
+    return tuple(chain)
+
+
+def place_tcp(profile: RobotProfile, positions: Mapping[str, float]) -> Pose:
+    """Pose of the TCP in the base frame; joints without a position stand at 0."""
+    pose = np.eye(4)
+    for joint in read_chain(profile):
+        pose = pose @ joint.transform(positions.get(joint.name, 0.0))
+    return Pose(position_m=pose[:3, 3], quaternion_xyzw=quaternion_from_matrix(pose[:3, :3]))
+
+
+def _read_joint(element: ElementTree.Element) -> UrdfJoint:
+    roll, pitch, yaw = _numbers(_attribute(element, "origin", "rpy", "0 0 0"))
+    origin = np.eye(4)
+    x, y, z = np.eye(3)
+    origin[:3, :3] = matrix_from_rotvec(z * yaw) @ matrix_from_rotvec(y * pitch) @ matrix_from_rotvec(x * roll)
+    origin[:3, 3] = _numbers(_attribute(element, "origin", "xyz", "0 0 0"))
+    axis = _numbers(_attribute(element, "axis", "xyz", "1 0 0"))
+    return UrdfJoint(
+        name=element.get("name", ""),
+        kind=element.get("type", ""),
+        child=_attribute(element, "child", "link", ""),
+        origin=origin,
+        axis=axis / (np.linalg.norm(axis) or 1.0),
+        lower=float(_attribute(element, "limit", "lower", "-inf")),
+        upper=float(_attribute(element, "limit", "upper", "inf")),
+        velocity=float(_attribute(element, "limit", "velocity", "inf")),
+    )
+
+
+def _attribute(element: ElementTree.Element, child: str, name: str, default: str) -> str:
+    found = element.find(child)
+    return default if found is None else found.get(name, default)
+
+
+def _numbers(text: str) -> F64:
+    return np.array([float(word) for word in text.split()])

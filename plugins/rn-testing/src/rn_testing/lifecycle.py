@@ -1,0 +1,239 @@
+"""Starting and ending what a rule tries, and the rules that every kind with a lifecycle shares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from rn_testing.attempts import attempt
+from rn_testing.cases import Case
+from rn_testing.deadline import bounded
+from rn_testing.effects import check_memory, check_released, expect_refusal, find_effects, running
+from rn_testing.fakes import MemoryTopics
+from rn_testing.options import OPTIONS_READ, check_options_read
+from rn_testing.rule import NotApplicable, Rule, require
+from roboneuron.errors import RoboNeuronError, StateError
+
+PURE = "The constructor opens no file, starts no thread or process and computes nothing that takes time."
+"""Text of the rule `constructor-pure`."""
+
+
+class Closable(Protocol):
+    """Anything with the end of a lifecycle."""
+
+    def close(self) -> None:
+        """Release everything."""
+        ...
+
+
+CaseT = TypeVar("CaseT", bound=Case[Any])
+C = TypeVar("C", bound=Closable)
+
+
+@contextmanager
+def started(case: Case[Any], build: Callable[[], C], start: Callable[[C], None]) -> Iterator[C]:
+    """Build and start something with every call bounded, and close it whatever happens."""
+    subject = bounded(attempt(case, build), case.limits_s)
+    try:
+        attempt(case, lambda: start(subject))
+        yield subject
+    finally:
+        subject.close()
+
+
+def check_protocol(case: Case[Any], protocol: type) -> None:
+    """What the case builds has the methods of a runtime-checkable protocol."""
+    subject = attempt(case, case.prepare())
+    missing = [n for n in _methods(protocol) if not callable(getattr(subject, n, None))]
+    require(not missing, f"{type(subject).__name__} lacks {', '.join(missing)} of {protocol.__name__}")
+
+
+def check_pure_constructor(case: Case[Any]) -> None:
+    """The constructor has no effect but to return an object.
+
+    Options, arguments and the target's module are made before, and a first object is built, so that only the
+    constructor itself is watched.
+    """
+    build = attempt(case, case.prepare)
+    first = attempt(case, build)
+    _, effects = find_effects(attempt(case, case.prepare))
+    del first
+    require(not effects, f"the constructor {'; '.join(effects)}")
+
+
+def _methods(protocol: type) -> list[str]:
+    return sorted(n for n in vars(protocol) if not n.startswith("_") and callable(getattr(protocol, n)))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Lifecycle(Generic[CaseT, C]):
+    """A kind whose objects are built, started, used and closed; `rules` are those that all such kinds share.
+
+    Attributes:
+        subject: first half of the rules' ids.
+        protocol: what is built follows it.
+        begin: name of the method that starts it.
+        start: starts what the case built; raises NotApplicable when the case has nothing to start it with.
+        uses: by name of a method, one use of it, which needs what was started. The first is the one that is tried most.
+        repeat: how many uses are one round of the memory rule.
+    """
+
+    subject: str
+    protocol: type[Any]
+    begin: str
+    start: Callable[[CaseT, C], None]
+    uses: Mapping[str, Callable[[CaseT, C], object]]
+    repeat: int = 20
+
+    @contextmanager
+    def running(self, case: CaseT, build: Callable[[], C] | None = None) -> Iterator[C]:
+        """What the case builds, started, and closed in the end."""
+        make = attempt(case, case.prepare) if build is None else build
+        with started(case, make, lambda subject: self.start(case, subject)) as subject:
+            yield subject
+
+    def built(self, case: CaseT) -> C:
+        """What the case builds, not started."""
+        subject: C = bounded(attempt(case, attempt(case, case.prepare)), case.limits_s)
+        return subject
+
+    def rules(self, *, without: Collection[str] = ()) -> tuple[Rule[CaseT], ...]:
+        """The shared rules of this kind, but for those the kind states in its own way."""
+        return tuple(rule for rule in self._rules() if rule.id.partition("/")[2] not in without)
+
+    def _rules(self) -> tuple[Rule[CaseT], ...]:
+        source = f"{self.protocol.__module__}.{self.protocol.__name__}"
+
+        def rule(name: str, text: str, check: Callable[[CaseT], None], where: str = "") -> Rule[CaseT]:
+            return Rule(id=f"{self.subject}/{name}", text=text, source=source + where, check=check)
+
+        begin = self.begin
+        return (
+            rule(
+                "protocol",
+                f"It has the methods of {self.protocol.__name__}.",
+                lambda case: check_protocol(case, self.protocol),
+            ),
+            rule("constructor-pure", PURE, check_pure_constructor),
+            rule(
+                "options-read",
+                OPTIONS_READ,
+                self._check_options,
+            ),
+            rule(
+                f"close-before-{begin}",
+                f"`close` may be called twice and before `{begin}`.",
+                self._check_close_first,
+                ".close",
+            ),
+            rule(
+                "close-releases",
+                f"After `{begin}`, `close` may be called twice and leaves no thread or process behind.",
+                self._check_release,
+                ".close",
+            ),
+            rule(
+                f"second-{begin}-safe",
+                f"A second `{begin}` is refused or changes nothing; one `close` releases all.",
+                self._check_second_start,
+                f".{begin}",
+            ),
+            rule(
+                f"{begin}-after-close",
+                f"After `close`, `{begin}` works again or is refused.",
+                self._check_restart,
+                f".{begin}",
+            ),
+            rule(
+                "memory-bounded",
+                f"Memory does not grow with every `{self._name}`.",
+                self._check_memory,
+                f".{self._name}",
+            ),
+            *(
+                rule(
+                    f"{name}-before-{begin}-refused",
+                    f"`{name}` before `{begin}` is a StateError.",
+                    lambda case, name=name: self._check_use_first(case, name),  # type: ignore[misc]
+                    f".{name}",
+                )
+                for name in self.uses
+            ),
+            *(
+                rule(
+                    f"{name}-after-close-refused",
+                    f"`{name}` after `close` is a StateError.",
+                    lambda case, name=name: self._check_use_last(case, name),  # type: ignore[misc]
+                    f".{name}",
+                )
+                for name in self.uses
+            ),
+        )
+
+    def _use(self, case: CaseT, subject: C) -> object:
+        return next(iter(self.uses.values()))(case, subject)
+
+    def _check_options(self, case: CaseT) -> None:
+        def use(build: Callable[[], C]) -> None:
+            with self.running(case, build) as subject:
+                for one in self.uses.values():
+                    with suppress(NotApplicable):  # a base is sent no joints
+                        one(case, subject)
+
+        check_options_read(case, use)
+
+    def _check_close_first(self, case: CaseT) -> None:
+        subject = self.built(case)
+        subject.close()
+        subject.close()
+
+    def _check_release(self, case: CaseT) -> None:
+        before = running()
+        with self.running(case) as subject:
+            pass
+        subject.close()
+        check_released(before, "close()")
+
+    def _check_second_start(self, case: CaseT) -> None:
+        before = running()
+        with self.running(case) as subject:
+            with suppress(RoboNeuronError):
+                self.start(case, subject)
+            self._use(case, subject)
+        check_released(before, f"close() after a second {self.begin}()")
+        expect_refusal(lambda: self._use(case, subject), f"{self._name} after close", StateError)
+
+    def _check_restart(self, case: CaseT) -> None:
+        with self.running(case) as subject:
+            pass
+        try:
+            self.start(case, subject)
+        except RoboNeuronError as refusal:
+            raise NotApplicable(f"it is refused: {refusal}") from refusal
+        try:
+            self._use(case, subject)
+        finally:
+            subject.close()
+
+    def _check_memory(self, case: CaseT) -> None:
+        build = attempt(case, lambda: case.prepare(MemoryTopics(history=1)))
+        with self.running(case, build) as subject:
+            check_memory(lambda: self._use(case, subject), self._name, count=self.repeat)
+
+    def _check_use_first(self, case: CaseT, name: str) -> None:
+        subject = self.built(case)
+        try:
+            expect_refusal(lambda: self.uses[name](case, subject), f"{name} before {self.begin}", StateError)
+        finally:
+            subject.close()
+
+    def _check_use_last(self, case: CaseT, name: str) -> None:
+        with self.running(case) as subject:
+            pass
+        expect_refusal(lambda: self.uses[name](case, subject), f"{name} after close", StateError)
+
+    @property
+    def _name(self) -> str:
+        return next(iter(self.uses))

@@ -1,0 +1,84 @@
+"""The command `roboneuron new`: a plugin package for one of the kinds, made from templates."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from argparse import ArgumentParser, Namespace
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from string import Template
+
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.descriptor import NAME_PATTERN
+from roboneuron.plugins.specs import KINDS
+
+PREFIXES = {kind: "accel" if kind == "acceleration" else kind for kind in KINDS}
+"""Middle part of the distribution's name: rn-<prefix>-<name>."""
+
+
+class New:
+    """Write a plugin package for one of the kinds; as written it passes its own contract tests."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron new`."""
+        parser.add_argument("kind", choices=sorted(KINDS), metavar="KIND", help=f"one of {', '.join(sorted(KINDS))}")
+        parser.add_argument("name", metavar="NAME", help="what users will choose it by, such as my-policy")
+        parser.add_argument("--directory", type=Path, metavar="DIR", help="where to write (./rn-KIND-NAME)")
+
+    def run(self, arguments: Namespace) -> int:
+        """Write the package and say what to do next."""
+        distribution = f"rn-{PREFIXES[arguments.kind]}-{arguments.name}"
+        directory = arguments.directory or Path(distribution)
+        written = write_package(arguments.kind, arguments.name, directory)
+        print(f"Wrote {len(written)} files of {distribution} to {directory}/. Next:\n")
+        print(f"  cd {directory}\n  pip install -e '.[testing]'\n  pytest\n  roboneuron plugins check {arguments.name}")
+        return 0
+
+
+def write_package(kind: str, name: str, directory: Path) -> list[Path]:
+    """Write a plugin package and return the paths of its files.
+
+    Raises:
+        ConfigurationError: the name is malformed, or the directory holds something already.
+    """
+    package = f"rn_{PREFIXES[kind]}_{name}".replace("-", "_")
+    class_name = "".join(part.capitalize() for part in name.split("-"))
+    if not NAME_PATTERN.fullmatch(name) or not class_name.isidentifier() or keyword.iskeyword(class_name):
+        suggestion = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-0123456789")
+        raise ConfigurationError(
+            f"The name {name!r} is malformed, expected lower-case letters, digits and single hyphens, a letter first"
+            f"{f'; for instance {suggestion!r}' if suggestion else ''}."
+        )
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise ConfigurationError(f"{directory} exists and is not empty.", hint="Name another one with --directory.")
+    words = {"kind": kind, "name": name, "distribution": f"rn-{PREFIXES[kind]}-{name}", "package": package}
+    words |= {"cls": class_name, "tool": name.replace("-", "_")}
+    templates = files("rn_testing") / "templates"
+    written = [_write(directory / "src" / package / "py.typed", "")]
+    for folder in ("common", kind):
+        for source in sorted((templates / folder).iterdir(), key=lambda s: s.name):
+            written.append(_write(directory / _place(source.name, package), _fill(source, words)))
+    return written
+
+
+def _place(template: str, package: str) -> Path:
+    """Where a template goes: metadata on top, tests under `tests`, everything else into the package."""
+    name = template.removesuffix(".tmpl")
+    if name in ("pyproject.toml", "README.md", "LICENSE"):
+        return Path(name)
+    if name.startswith("test_"):
+        return Path("tests") / name.replace("test_contract", f"test_{package}_keeps_its_contract")
+    return Path("src") / package / name
+
+
+def _fill(source: Traversable, words: dict[str, str]) -> str:
+    text = source.read_text(encoding="utf-8")
+    return Template(text).substitute(words) if source.name.endswith(".tmpl") else text
+
+
+def _write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path

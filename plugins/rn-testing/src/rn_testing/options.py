@@ -1,0 +1,64 @@
+"""Options that are read: what a plugin looks at when it is built, started and used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rn_testing.attempts import attempt
+from rn_testing.cases import Case
+from rn_testing.fakes import MemoryTopics
+from rn_testing.rule import NotApplicable, require
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+OPTIONS_READ = "The options are read: each that the case sets, or at least one."
+"""Text of the rule `options-read`."""
+
+
+def check_options_read(
+    case: Case[Any], use: Callable[[Callable[[], Any]], None], topics: MemoryTopics | None = None
+) -> None:
+    """Every option that the case sets is read when the plugin is built, started and used, and at least one of all.
+
+    A model with validators of its own may have used an option there, so that of its options one is enough.
+    """
+    read: set[str] = set()
+    names: set[str] = set()
+    judged: set[str] = set()
+
+    def configure(options: object) -> object:
+        if options is None:
+            raise NotApplicable("there are no options")
+        model: type[BaseModel] = type(options)  # type: ignore[assignment]
+        names.update(model.model_fields)
+        if not model.__pydantic_decorators__.model_validators:
+            judged.update(case.option_names() & names)
+        return _record_reads(options, read)  # type: ignore[arg-type]
+
+    build = attempt(case, lambda: case.prepare(topics, configure))
+    if not names:
+        raise NotApplicable("there are no options")
+    use(build)
+    ignored = sorted(judged - read)
+    require(not ignored, f"the options {', '.join(ignored)} are set and never read")
+    require(bool(read), f"none of the options {', '.join(sorted(names))} is read")
+
+
+def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:
+    """A copy of `options` that notes in `read` which of its fields are looked at."""
+    model = type(options)
+    names = frozenset(model.model_fields)
+
+    def get(self: object, name: str) -> Any:
+        if name in names:
+            read.add(name)
+        elif name.startswith("model_") or name == "__iter__":
+            read.update(names)
+        return object.__getattribute__(self, name)
+
+    recording = type(model.__name__, (model,), {"__getattribute__": get, "__module__": model.__module__})
+    copy = options.model_copy()
+    object.__setattr__(copy, "__class__", recording)
+    return copy

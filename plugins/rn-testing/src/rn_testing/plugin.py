@@ -1,0 +1,22 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, hookimpl
+
+NEW = CommandSpec(
+    name="new",
+    summary="write a plugin package that passes its contract tests",
+    target="rn_testing.new:New",
+)
+"""Descriptor of `roboneuron new`."""
+CHECK = CommandSpec(
+    name="plugins-check",
+    summary="run the contract rules against an installed plugin, as `roboneuron plugins check`",
+    target="rn_testing.plugin_check:PluginsCheck",
+)
+"""Descriptor of `roboneuron plugins check`: the command `plugins` of core hands over to it."""
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (NEW, CHECK)

@@ -1,0 +1,217 @@
+"""`roboneuron plugins check NAME`: the contract rules against an installed plugin, in a process that may be lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import tomllib
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from roboneuron.cli.plugin_detail import find
+from roboneuron.cli.plugins import read_disabled
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import KINDS
+
+SCHEMA_VERSION = 1
+"""Raised when a key of the JSON document changes its meaning or goes."""
+STYLES = {"passed": "green", "failed": "bold red", "skipped": "dim", "timeout": "bold red", "crashed": "bold red"}
+"""Colour of each verdict."""
+WORKER = "rn_testing.check"
+"""The module that runs the rules; never imported here."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """One line of the table.
+
+    Attributes:
+        subject: the distribution, or kind and name of an offer.
+        rule: the rule's id.
+        text: what it demands.
+        verdict: "passed", "failed", "skipped"; "timeout" or "crashed" for the rule during which the process was lost.
+        detail: why not passed.
+        traceback: of an unexpected exception.
+    """
+
+    subject: str
+    rule: str
+    text: str
+    verdict: str
+    detail: str = ""
+    traceback: str = ""
+
+
+class PluginsCheck:
+    """Run the contract rules against an installed plugin, in a process of its own."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron plugins check`."""
+        parser.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply"
+        )
+        parser.add_argument("--kind", choices=sorted(KINDS), help="check offers of this kind only")
+        parser.add_argument(
+            "--option", action="append", default=[], metavar="KEY=VALUE", help="option of the plugin; VALUE as in TOML"
+        )
+        parser.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="bound for the whole (120)")
+        parser.add_argument("--json", action="store_true", help="machine-readable results")
+
+    def run(self, arguments: Namespace) -> int:
+        """Check, print the results and return 0 when nothing failed."""
+        return check(
+            discover(read_disabled(arguments.config)),
+            arguments.name,
+            kind=arguments.kind,
+            options=arguments.option,
+            timeout_s=arguments.timeout,
+            as_json=arguments.json,
+        )
+
+
+def check(
+    registry: Registry, name: str, *, kind: str | None, options: Sequence[str], timeout_s: float, as_json: bool
+) -> int:
+    """Run the rules for what `name` means, print the results and return the exit status: 0 when nothing failed.
+
+    Raises:
+        ConfigurationError: nothing has that name, or an option is not KEY=VALUE.
+    """
+    parsed = parse_options(options)
+    results: list[Result] = []
+    for record, offers in find(registry, name, kind):
+        usable = [o for o in offers if o.status is Status.READY]
+        results += [
+            Result(
+                subject=f"{o.spec.kind} {o.spec.name}",
+                rule="descriptor/ready",
+                text="The offer can be used here.",
+                verdict="skipped" if o.status is Status.UNAVAILABLE else "failed",
+                detail=f"{o.status}: {o.reason}",
+            )
+            for o in offers
+            if o.status is not Status.READY
+        ]
+        request = {
+            "distribution": record.distribution,
+            "offers": [(o.spec.kind, o.spec.name) for o in usable],
+            "options": parsed,
+        }
+        results += run_worker(json.dumps(request), timeout_s)
+    if as_json:
+        document = {"schema_version": SCHEMA_VERSION, "results": [_plain(r) for r in results]}
+        print(json.dumps(document, indent=2))
+    else:
+        _print(results)
+    return 0 if all(r.verdict in ("passed", "skipped") for r in results) else 1
+
+
+def parse_options(words: Sequence[str]) -> dict[str, object]:
+    """KEY=VALUE pairs with TOML values; a value that is no TOML is taken as text."""
+    parsed: dict[str, object] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key.isidentifier():
+            raise ConfigurationError(f"--option {word!r} is malformed, expected KEY=VALUE such as gain=0.5.")
+        try:
+            parsed[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            parsed[key] = value
+    return parsed
+
+
+def run_worker(request: str, timeout_s: float) -> list[Result]:
+    """Run the worker in a process group of its own and read what it decided before it ended or was ended."""
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as errors,
+        # Folders that a case makes go with this one, also when the worker is killed. A thread that the kill did not
+        # reach at once may still write.
+        tempfile.TemporaryDirectory(prefix="roboneuron-check-", ignore_cleanup_errors=True) as scratch,
+    ):
+        process = subprocess.Popen(
+            [sys.executable, "-m", WORKER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, "TMPDIR": scratch},
+        )
+        lost = ""
+        try:
+            output, _ = process.communicate(request, timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            lost = f"the whole check did not end within {timeout_s:g} s"
+        finally:
+            _end_group(process.pid)
+        if lost:
+            output, _ = process.communicate()
+        errors.seek(0)
+        complaint = errors.read()
+    if not lost and process.returncode != 0:
+        last = complaint.strip().splitlines()[-1:] or ["no message"]
+        lost = f"the process ended with status {process.returncode}: {last[0]}"
+    return read_results(output, lost, timed_out="did not end within" in lost)
+
+
+def _end_group(group: int) -> None:
+    """The worker and all it started; a group that is gone already is as wanted."""
+    try:
+        os.killpg(group, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+def read_results(output: str, lost: str, *, timed_out: bool) -> list[Result]:
+    """Results from the worker's lines; the rule that was begun and not decided carries the loss."""
+    results: list[Result] = []
+    begun: dict[str, str] | None = None
+    for line in output.splitlines():
+        entry: dict[str, str] = json.loads(line)
+        if "verdict" in entry:
+            results.append(Result(**entry))
+            begun = None
+        else:
+            begun = entry
+    if lost:
+        place = begun or {"subject": "check", "rule": "check/completes", "text": "The check runs to its end."}
+        results.append(Result(**place, verdict="timeout" if timed_out else "crashed", detail=lost))
+    return results
+
+
+def _plain(result: Result) -> dict[str, str]:
+    return {key: getattr(result, key) for key in ("subject", "rule", "text", "verdict", "detail", "traceback")}
+
+
+def _print(results: Sequence[Result]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("SUBJECT", "RULE", "VERDICT"):
+        table.add_column(column, no_wrap=True)
+    table.add_column("WHY", overflow="fold")
+    for result in results:
+        verdict = Text(result.verdict, style=STYLES[result.verdict])
+        table.add_row(result.subject, result.rule, verdict, Text(result.detail))
+    console.print(table)
+    for result in results:
+        if result.verdict not in ("passed", "skipped"):
+            console.print(Text(f"\n{result.subject}: {result.rule} {result.verdict}: {result.detail}", style="red"))
+            console.print(Text(f"  rule: {result.text}"))
+            if result.traceback:
+                console.print(Text(result.traceback.rstrip(), style="dim"))
+    counts = {verdict: sum(r.verdict == verdict for r in results) for verdict in STYLES}
+    console.print("\n" + ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))

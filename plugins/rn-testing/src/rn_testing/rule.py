@@ -1,0 +1,85 @@
+"""Rules as data: an id, what must hold, where that is stated, and the check that decides."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic, TypeVar
+
+from rn_testing.deadline import Overdue, run_bounded
+
+CaseT = TypeVar("CaseT")
+
+
+class Violation(AssertionError):
+    """A rule does not hold; the message says what came and what was expected."""
+
+
+class NotApplicable(Exception):
+    """A rule says nothing about this case (a backend without state, a runtime without a request to try)."""
+
+
+class Verdict(StrEnum):
+    """Outcome of one rule for one case."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    SKIPPED = "skipped"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rule(Generic[CaseT]):
+    """One thing that every plugin of a kind must do.
+
+    Attributes:
+        id: "<subject>/<what>", stable, unique over all rules.
+        text: one sentence that holds for every good plugin.
+        source: dotted name whose docstring states it.
+        check: raises Violation when it does not hold, NotApplicable when it says nothing about the case.
+    """
+
+    id: str
+    text: str
+    source: str
+    check: Callable[[CaseT], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """What came of one rule.
+
+    Attributes:
+        rule: the rule's id.
+        verdict: passed, failed or skipped.
+        detail: why it failed or was skipped; empty when passed.
+        traceback: of an unexpected exception; empty otherwise.
+    """
+
+    rule: str
+    verdict: Verdict
+    detail: str = ""
+    traceback: str = ""
+
+
+def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
+    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a failure."""
+    try:
+        run_bounded(lambda: rule.check(case))
+    except Overdue as overdue:
+        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(overdue))
+    except NotApplicable as reason:
+        return Outcome(rule=rule.id, verdict=Verdict.SKIPPED, detail=str(reason))
+    except Violation as violation:
+        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(violation))
+    except Exception as error:  # the border to a plugin's own code
+        detail = f"raised {type(error).__name__}: {error}"
+        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=detail, traceback=traceback.format_exc())
+    return Outcome(rule=rule.id, verdict=Verdict.PASSED)
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise Violation with `message` unless `condition` holds."""
+    if not condition:
+        raise Violation(message)

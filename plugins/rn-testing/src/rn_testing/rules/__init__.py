@@ -1,0 +1,35 @@
+"""Every rule, by subject. `RULES["backend"]` are the rules a backend's contract class runs."""
+
+from typing import Any
+
+from rn_testing.rule import Rule
+from rn_testing.rules import (
+    acceleration,
+    backend,
+    command,
+    controller,
+    descriptor,
+    driver,
+    driver_motion,
+    feature,
+    package,
+    perception,
+    restricted,
+    robot,
+    runtime,
+)
+
+RULES: dict[str, tuple[Rule[Any], ...]] = {
+    "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES),
+    "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
+    "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
+    "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
+    "controller": (*descriptor.RULES, *restricted.RULES, *controller.RULES),
+    "robot": (*descriptor.RULES, *restricted.RULES, *robot.RULES, *driver.RULES, *driver_motion.RULES),
+    "feature": (*descriptor.RULES, *feature.RULES),
+    "command": (*descriptor.RULES, *command.RULES),
+    "package": package.RULES,
+}
+"""Rules by kind of descriptor, and those of packages."""
+
+__all__ = ["RULES"]

@@ -1,0 +1,151 @@
+"""Rules of accelerations: they change the decoders they declare, only those, and refuse others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rn_testing.attempts import attempt
+from rn_testing.cases import AccelerationCase
+from rn_testing.deadline import bounded
+from rn_testing.effects import check_memory, expect_refusal
+from rn_testing.lifecycle import PURE, check_protocol, check_pure_constructor
+from rn_testing.options import OPTIONS_READ, check_options_read
+from rn_testing.rule import NotApplicable, Rule, require
+from rn_testing.snapshots import snapshot
+from roboneuron.contract import Acceleration
+from roboneuron.errors import ConfigurationError, InvalidInputError
+
+
+class _Foreign:
+    """A decoder of no known kind."""
+
+    def __init__(self) -> None:
+        self.layers: list[object] = []
+        self.forward = "forward"
+
+
+def _built(case: AccelerationCase) -> Acceleration[Any]:
+    return bounded(attempt(case, case.build), case.limits_s)
+
+
+def _decoder(case: AccelerationCase) -> Callable[[], Any]:
+    if case.decoder is None:
+        raise NotApplicable("the case gives no decoder")
+    return case.decoder
+
+
+def _check_declared(case: AccelerationCase) -> None:
+    require(bool(case.spec.families), "the descriptor declares no model family")
+    require(bool(case.spec.capability), "the descriptor declares no capability it needs of a runtime")
+
+
+def _check_options(case: AccelerationCase) -> None:
+    decoder = _decoder(case)()
+    check_options_read(case, lambda build: attempt(case, build).apply(decoder))
+
+
+def _check_apply(case: AccelerationCase) -> None:
+    decoder = _decoder(case)()
+    preset = _built(case)
+    before = snapshot(decoder)
+    result: object = preset.apply(decoder)  # type: ignore[func-returns-value]
+    require(result is None, f"apply returned {type(result).__name__}; it changes the decoder that it is given")
+    require(snapshot(decoder) != before, "apply changed nothing in the decoder")
+    if case.expected is not None:
+        require(case.expected(decoder), "apply did not change the decoder as the case expects")
+
+
+def _check_again(case: AccelerationCase) -> None:
+    decoder = _decoder(case)
+    preset = _built(case)
+    first, second = decoder(), decoder()
+    preset.apply(first)
+    before = snapshot(second)
+    preset.apply(second)
+    require(snapshot(second) != before, "apply to a second decoder changed nothing in it")
+    if case.expected is not None:
+        require(case.expected(second), "apply did not change the second decoder as the case expects")
+
+
+def _check_twice(case: AccelerationCase) -> None:
+    decoder = _decoder(case)()
+    preset = _built(case)
+    preset.apply(decoder)
+    once = snapshot(decoder)
+    for again in (preset, _built(case)):
+        again.apply(decoder)
+        if case.expected is not None:
+            require(case.expected(decoder), "apply to a decoder that has the preset is not what the case expects")
+        else:
+            require(snapshot(decoder) == once, "apply to a decoder that has the preset changes it further")
+
+
+def _check_contained(case: AccelerationCase) -> None:
+    decoder = _decoder(case)
+    bystander, kind = decoder(), snapshot(vars(type(decoder())))
+    before, fresh = snapshot(bystander), snapshot(decoder())
+    differ = snapshot(decoder()) != fresh  # random weights: then a new decoder cannot be compared with an older one
+    _built(case).apply(decoder())
+    require(snapshot(bystander) == before, "apply changed another decoder than the one it was given")
+    require(differ or snapshot(decoder()) == fresh, "a decoder made after apply is not as it was before")
+    require(snapshot(vars(type(decoder()))) == kind, "apply changed the class of the decoder, thus all of them")
+
+
+def _check_foreign(case: AccelerationCase) -> None:
+    preset = _built(case)
+    for foreign in (object(), None, "decoder", _Foreign()):
+        before = snapshot(foreign)
+        what = f"apply to an unknown decoder ({type(foreign).__name__})"
+        expect_refusal(lambda d=foreign: preset.apply(d), what, InvalidInputError, ConfigurationError)  # type: ignore[misc]
+        require(snapshot(foreign) == before, f"{what} was refused and yet changed it")
+
+
+def _check_after_refusal(case: AccelerationCase) -> None:
+    decoder = _decoder(case)()
+    preset = _built(case)
+    expect_refusal(lambda: preset.apply(object()), "apply to an unknown decoder")
+    before = snapshot(decoder)
+    preset.apply(decoder)
+    require(snapshot(decoder) != before, "after a refusal apply changes nothing")
+
+
+def _check_memory(case: AccelerationCase) -> None:
+    decoder = _decoder(case)
+    preset = _built(case)
+    check_memory(lambda: preset.apply(decoder()), "apply")
+
+
+_SOURCE = "roboneuron.contract.protocols.Acceleration"
+
+
+def _rule(name: str, text: str, source: str, check: Callable[[AccelerationCase], None]) -> Rule[AccelerationCase]:
+    return Rule(id=f"acceleration/{name}", text=text, source=source, check=check)
+
+
+RULES: tuple[Rule[AccelerationCase], ...] = (
+    _rule("protocol", "It has the methods of Acceleration.", _SOURCE, lambda case: check_protocol(case, Acceleration)),
+    _rule(
+        "needs-declared",
+        "The descriptor names model families and the capability it needs.",
+        "roboneuron.plugins.specs.AccelerationSpec",
+        _check_declared,
+    ),
+    _rule("constructor-pure", PURE, "roboneuron.contract.protocols", check_pure_constructor),
+    _rule("options-read", OPTIONS_READ, _SOURCE, _check_options),
+    _rule("applies", "`apply` changes a decoder that has the capability.", f"{_SOURCE}.apply", _check_apply),
+    _rule("applies-again", "One preset can be applied to a second decoder.", f"{_SOURCE}.apply", _check_again),
+    _rule("applies-once", "A second `apply` to one decoder adds nothing.", f"{_SOURCE}.apply", _check_twice),
+    _rule(
+        "contained", "`apply` changes the decoder it is given and nothing else.", f"{_SOURCE}.apply", _check_contained
+    ),
+    _rule(
+        "foreign-decoder-refused",
+        "A decoder that the preset does not know is refused and is left as it is.",
+        f"{_SOURCE}.apply",
+        _check_foreign,
+    ),
+    _rule("works-after-refusal", "After a refusal `apply` works.", f"{_SOURCE}.apply", _check_after_refusal),
+    _rule("memory-bounded", "The preset does not keep the decoders.", f"{_SOURCE}.apply", _check_memory),
+)
+"""Rules of accelerations."""

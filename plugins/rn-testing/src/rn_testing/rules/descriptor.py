@@ -1,0 +1,145 @@
+"""Rules of every descriptor: it says the truth, and what it names can be imported and called."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from pydantic import ValidationError
+
+from rn_testing.cases import Case
+from rn_testing.rule import NotApplicable, Rule, Violation, require
+from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.loading import load_attribute, load_options_model, load_target
+from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
+
+AnyCase = Case[Any]
+
+SUMMARY_LENGTH = 120
+"""Characters of a summary that a table and an agent's choice can show."""
+
+
+def _check_well_formed(case: AnyCase) -> None:
+    check_spec(case.spec, type(case.spec))
+
+
+def _check_compatible(case: AnyCase) -> None:
+    require(is_compatible(case.spec), f"written for contract {case.spec.contract}, this core has {CONTRACT_VERSION}")
+
+
+def _check_summary(case: AnyCase) -> None:
+    summary = case.spec.summary
+    require(len(summary) <= SUMMARY_LENGTH, f"the summary has {len(summary)} characters, at most {SUMMARY_LENGTH}")
+
+
+def _described(case: AnyCase) -> tuple[Spec | DriverSpec, ...]:
+    """The descriptor and, of a robot, its drivers whose requirements are met or that the case tries."""
+    spec = case.spec
+    return (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
+
+
+def _check_target(case: AnyCase) -> None:
+    target = load_target(case.spec)
+    require(callable(target), f"`target` {case.spec.target!r} names {target!r}, expected a class or function")
+    positional, named = case.arguments()
+    try:
+        inspect.signature(target).bind(*positional, **named)  # type: ignore[arg-type]
+    except TypeError as error:
+        words = [*(["config"] if positional else []), *("..." for _ in positional[1:]), *(f"{n}=..." for n in named)]
+        call = f"target({', '.join(words)})"
+        raise Violation(f"`target` {case.spec.target!r} cannot be called as {call}: {error}") from error
+
+
+def _check_config(case: AnyCase) -> None:
+    models = [load_options_model(spec) for spec in _described(case)]
+    if not any(models):
+        raise NotApplicable("there are no options")
+    for model in models:
+        if model is not None:
+            extra = model.model_config.get("extra")
+            require(extra == "forbid", f'{model.__name__} has extra={extra!r}, expected ConfigDict(extra="forbid")')
+
+
+def _check_option_descriptions(case: AnyCase) -> None:
+    models = [model for spec in _described(case) if (model := load_options_model(spec)) is not None]
+    if not models:
+        raise NotApplicable("there are no options")
+    for model in models:
+        bare = [name for name, option in model.model_fields.items() if not option.description]
+        require(not bare, f"{model.__name__} has options without description: {', '.join(bare)}")
+
+
+def _check_defaults(case: AnyCase) -> None:
+    models = [model for spec in _described(case) if (model := load_options_model(spec)) is not None]
+    if not models:
+        raise NotApplicable("there are no options")
+    for model in models:
+        if any(option.is_required() for option in model.model_fields.values()):
+            continue  # there is nothing to try without the user's own values
+        defaults = {name: option.get_default(call_default_factory=True) for name, option in model.model_fields.items()}
+        try:
+            model.model_validate(defaults)
+        except ValidationError as error:
+            # A problem without a place is one of options that belong together: then the user must set some.
+            wrong = [f"{p['loc'][0]}: {p['msg']}" for p in error.errors() if p["loc"]]
+            require(not wrong, f"{model.__name__} refuses its own defaults: {'; '.join(wrong)}")
+
+
+def _check_case(case: AnyCase) -> None:
+    if case.spec.case is None:
+        raise NotApplicable("it names no case")
+    function = load_attribute(case.spec.case, f"`case` of {case.spec.name!r}")
+    require(callable(function), f"`case` {case.spec.case!r} names {function!r}, expected a function")
+
+
+RULES: tuple[Rule[AnyCase], ...] = (
+    Rule(
+        id="descriptor/well-formed",
+        text="Names, targets and field types are those of its descriptor class.",
+        source="roboneuron.plugins.specs",
+        check=_check_well_formed,
+    ),
+    Rule(
+        id="descriptor/compatible",
+        text="It is written for the contract of this core.",
+        source="roboneuron.plugins.specs.CONTRACT_VERSION",
+        check=_check_compatible,
+    ),
+    Rule(
+        id="descriptor/summary-fits",
+        text=f"The summary is one line of at most {SUMMARY_LENGTH} characters.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_summary,
+    ),
+    Rule(
+        id="descriptor/target-callable",
+        text="`target` can be imported and called with the arguments that the protocol of its kind names.",
+        source="roboneuron.contract.protocols",
+        check=_check_target,
+    ),
+    Rule(
+        id="descriptor/options-closed",
+        text="`config` names a pydantic model that forbids unknown keys.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_config,
+    ),
+    Rule(
+        id="descriptor/options-described",
+        text="Every option has a description; users and agents read it.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_option_descriptions,
+    ),
+    Rule(
+        id="descriptor/options-default",
+        text="The defaults of the options keep their own bounds.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_defaults,
+    ),
+    Rule(
+        id="descriptor/case-found",
+        text="`case`, if any, can be imported and called.",
+        source="roboneuron.plugins.specs.Spec",
+        check=_check_case,
+    ),
+)
+"""Rules that apply to every kind."""

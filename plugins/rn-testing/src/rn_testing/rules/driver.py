@@ -1,0 +1,264 @@
+"""Rules of robot drivers: state that can be relied on, and commands that are refused. `driver_motion` has the rest."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from rn_testing.attempts import attempt
+from rn_testing.cases import RobotCase
+from rn_testing.effects import check_quick, expect_refusal, wait_until
+from rn_testing.fakes import MemoryTopics
+from rn_testing.lifecycle import Lifecycle, started
+from rn_testing.rule import NotApplicable, Rule, Violation, require
+from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
+from roboneuron.contract import JointCommand, JointLimits, RobotDriver, RobotState
+from roboneuron.contract.motion import F64
+from roboneuron.errors import InvalidInputError, RoboNeuronError
+from roboneuron.plugins.loading import load_options_model, load_target
+
+READ_LIMIT_S = 0.02
+"""Median time of a `read`: the contract says a millisecond; the rest is for busy machines."""
+SEND_LIMIT_S = 0.2
+"""Bound on the quickest of some `send`: it starts a motion and does not wait for its end."""
+STAMP_S = 1.0
+"""How long a stamp may stay the same."""
+OUTSIDE = 0.05
+"""How far outside of the limits a joint may be measured [rad or m]."""
+
+
+@contextmanager
+def opened(case: RobotCase) -> Iterator[RobotDriver]:
+    """The case's driver, open, with ROS time of the kit."""
+    build = attempt(case, lambda: case.prepare(MemoryTopics(ros_clock)))
+    with started(case, build, lambda driver: driver.open()) as driver:
+        yield driver
+
+
+def read_state(case: RobotCase, driver: RobotDriver) -> RobotState:
+    """The newest state, waiting for the first one when the driver has none yet."""
+    found: list[RobotState] = []
+
+    def has_state() -> bool:
+        state = driver.read()
+        require(isinstance(state, RobotState), f"read returned {type(state).__name__}, expected a RobotState")
+        found[:] = [state]
+        return len(state.joints.names) > 0
+
+    require(wait_until(has_state, case.settle_s), f"no joint state within {case.settle_s:g} s of open()")
+    return found[0]
+
+
+def arm_position(case: RobotCase, driver: RobotDriver) -> F64:
+    """Measured arm joints (n,) in the order of the profile."""
+    state = read_state(case, driver)
+    measured = dict(zip(state.joints.names, state.joints.position.tolist(), strict=True))
+    absent = [n for n in case.profile().arm_joints if n not in measured]
+    require(not absent, f"read lacks the joints {', '.join(absent)}")
+    return np.array([measured[n] for n in case.profile().arm_joints])
+
+
+def arm_limits(case: RobotCase) -> JointLimits:
+    """The limits of the arm; raises NotApplicable for robots that are none."""
+    if case.spec.robot_kind != "arm":
+        raise NotApplicable(f"the robot is of kind {case.spec.robot_kind!r}")
+    limits = case.profile().limits
+    if limits is None:
+        raise Violation("an arm's profile has no limits")
+    return limits
+
+
+def arm_command(case: RobotCase, position: F64, duration_s: float = 0.5) -> JointCommand:
+    """A command for all arm joints, in the order of the profile."""
+    return JointCommand(names=case.profile().arm_joints, position=position, duration_s=duration_s)
+
+
+def _send_home(case: RobotCase, driver: RobotDriver) -> object:
+    arm_limits(case)
+    home = case.profile().home_rad
+    if home is None:
+        raise NotApplicable("the profile has no home posture")
+    return driver.send(arm_command(case, home))
+
+
+def _open(case: RobotCase, driver: RobotDriver) -> None:
+    driver.open()
+
+
+LIFECYCLE: Lifecycle[RobotCase, RobotDriver] = Lifecycle(
+    subject="driver",
+    protocol=RobotDriver,
+    begin="open",
+    start=_open,
+    uses={"read": lambda case, driver: driver.read(), "send": _send_home, "hold": lambda case, driver: driver.hold()},
+)
+"""How a driver is started and used."""
+
+
+def _check_target(case: RobotCase) -> None:
+    spec = case.driver_spec()
+    load_options_model(spec)
+    require(callable(load_target(spec)), f"`target` of driver {spec.name!r} is no class")
+
+
+def _check_topics_untouched(case: RobotCase) -> None:
+    topics = MemoryTopics()
+    attempt(case, lambda: case.build(topics))
+    require(not topics.used, f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()")
+
+
+def _check_state(case: RobotCase) -> None:
+    profile = case.profile()
+    with opened(case) as driver:
+        state = read_state(case, driver)
+        arm = arm_position(case, driver)
+    joints = state.joints
+    require(len(set(joints.names)) == len(joints.names), "read names a joint twice")
+    require(joints.position.shape == (len(joints.names),), f"read has {joints.position.shape} positions for its names")
+    require(bool(np.isfinite(joints.position).all()), "read holds a position that is not finite")
+    if joints.velocity is not None:
+        require(joints.velocity.shape == joints.position.shape, "read has not one velocity for each position")
+        require(
+            bool(np.isfinite(joints.velocity).all()), "read holds a velocity that is not finite; None means unknown"
+        )
+    limits = profile.limits
+    if limits is not None:
+        outside = (arm < limits.lower - OUTSIDE) | (arm > limits.upper + OUTSIDE)
+        astray = [n for n, out in zip(profile.arm_joints, outside.tolist(), strict=True) if out]
+        require(not astray, f"read is outside of the limits for {', '.join(astray)}; are those degrees?")
+    if profile.gripper is not None:
+        opening = state.gripper_open
+        require(opening is not None and 0 <= opening <= 1, f"gripper_open is {opening}, expected 0 closed .. 1 open")
+
+
+def _check_stamps(case: RobotCase) -> None:
+    with opened(case) as driver:
+        opened_ns = ros_clock()
+        first_ns = newest_ns = read_state(case, driver).joints.stamp_ns
+        until_s = time.monotonic() + STAMP_S
+        while time.monotonic() < until_s and newest_ns - first_ns < 50_000_000:
+            stamp_ns = read_state(case, driver).joints.stamp_ns
+            early_s, late_s = (opened_ns - stamp_ns) / 1e9, (stamp_ns - ros_clock()) / 1e9
+            require(late_s <= FUTURE_S, f"a state is stamped {late_s:.3g} s in the future of ROS time")
+            require(early_s <= PAST_S, f"a state is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds")
+            require(
+                stamp_ns >= newest_ns, f"a state is stamped {(newest_ns - stamp_ns) / 1e9:.3g} s before the last one"
+            )
+            newest_ns = stamp_ns
+            time.sleep(0.005)
+    require(newest_ns > first_ns, f"the stamp stays the same for {STAMP_S:g} s")
+
+
+def _check_read_quick(case: RobotCase) -> None:
+    with opened(case) as driver:
+        read_state(case, driver)
+        times_s: list[float] = []
+        for _ in range(21):
+            before_s = time.perf_counter()
+            driver.read()
+            times_s.append(time.perf_counter() - before_s)
+    median_s = float(np.median(times_s))
+    require(median_s <= READ_LIMIT_S, f"read takes {median_s * 1000:.1f} ms, expected about 1 ms")
+
+
+def _check_send_quick(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        command = replace(arm_command(case, arm_position(case, driver)), duration_s=2.0)
+        check_quick(SEND_LIMIT_S, lambda: driver.send(command), "send")
+
+
+def _check_bad_command(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        position = arm_position(case, driver)
+        good = arm_command(case, position + case.step)
+        bad = {
+            "an unknown joint": replace(good, names=("no_such_joint", *good.names[1:])),
+            "a position of NaN": replace(good, position=np.full_like(position, np.nan)),
+            "an infinite position": replace(good, position=np.append(good.position[:-1], np.inf)),
+            "fewer positions than names": replace(good, position=position[1:]),
+            "a duration of 0": replace(good, duration_s=0.0),
+            "a negative duration": replace(good, duration_s=-1.0),
+            "a duration of NaN": replace(good, duration_s=float("nan")),
+        }
+        for name, command in bad.items():
+            expect_refusal(lambda c=command: driver.send(c), f"send of {name}", InvalidInputError)  # type: ignore[misc]
+        wait_until(lambda: False, 0.2)
+        moved = float(np.abs(arm_position(case, driver) - position).max())
+    require(moved <= case.tolerance, f"after refused commands a joint has moved by {moved:.4f}")
+
+
+def _check_limits(case: RobotCase) -> None:
+    limits, names = arm_limits(case), case.profile().arm_joints
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        for joint, name in enumerate(names):
+            for bound, beyond in ((limits.lower[joint], -1.0), (limits.upper[joint], 1.0)):
+                position = start.copy()
+                position[joint] = bound + beyond
+                try:
+                    sent = driver.send(arm_command(case, position))
+                except RoboNeuronError:
+                    continue
+                finally:
+                    driver.hold()
+                reached = dict(zip(sent.names, sent.position.tolist(), strict=True))[name]
+                inside = limits.lower[joint] - 1e-9 <= reached <= limits.upper[joint] + 1e-9
+                require(inside, f"{name} was sent to {reached:.3f}, its limit is {bound:g}")
+
+
+SOURCE = "roboneuron.contract.protocols.RobotDriver"
+
+
+def driver_rule(name: str, text: str, method: str, check: Callable[[RobotCase], None]) -> Rule[RobotCase]:
+    """A rule that a method of RobotDriver states."""
+    return Rule(id=f"driver/{name}", text=text, source=f"{SOURCE}.{method}", check=check)
+
+
+RULES: tuple[Rule[RobotCase], ...] = (
+    Rule(
+        id="driver/target-callable",
+        text="The driver's `target` and `config` can be imported.",
+        source="roboneuron.plugins.specs.DriverSpec",
+        check=_check_target,
+    ),
+    *LIFECYCLE.rules(),
+    Rule(
+        id="driver/constructor-leaves-topics",
+        text="The constructor neither subscribes nor advertises.",
+        source="roboneuron.contract.protocols.Topics",
+        check=_check_topics_untouched,
+    ),
+    driver_rule(
+        "reads-state",
+        "After `open`, `read` returns finite numbers within the limits, of every arm joint, and the gripper's opening.",
+        "read",
+        _check_state,
+    ),
+    driver_rule(
+        "stamps-in-ros-time",
+        "States are stamped in nanoseconds of `Topics.now_ns`, advance, and never go back.",
+        "read",
+        _check_stamps,
+    ),
+    driver_rule("read-quick", "`read` does not wait.", "read", _check_read_quick),
+    driver_rule("send-quick", "`send` starts a motion and does not wait for its end.", "send", _check_send_quick),
+    driver_rule(
+        "bad-command-refused",
+        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves nothing.",
+        "send",
+        _check_bad_command,
+    ),
+    driver_rule(
+        "limits-kept",
+        "A position outside the limits is refused, or what is really sent is within them.",
+        "send",
+        _check_limits,
+    ),
+)
+"""Rules of robot drivers, but for those of `driver_motion`."""

@@ -1,0 +1,197 @@
+"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest command, and stops."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from rn_testing.cases import RobotCase
+from rn_testing.effects import wait_until
+from rn_testing.rule import NotApplicable, Rule, Violation, require
+from rn_testing.rules.driver import arm_command, arm_limits, arm_position, driver_rule, opened, read_state
+from roboneuron.contract import JointCommand, RobotDriver
+from roboneuron.contract.motion import F64
+from roboneuron.errors import RoboNeuronError
+
+HOLD_S = 0.3
+"""How long the robot is watched after `hold`."""
+AHEAD = 0.35
+"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are at 1."""
+FAR = 20
+"""Steps of the case in a motion that is watched."""
+OPENINGS = (0.5, 0.0, 1.0)
+"""Openings that the gripper is sent to."""
+OPENING_TOLERANCE = 0.15
+"""How near the gripper must come."""
+
+
+def _shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
+    """`start` with one joint moved by so many of the case's steps, towards the side with more room."""
+    limits = arm_limits(case)
+    goal = start.copy()
+    room = limits.upper[joint] - goal[joint] > goal[joint] - limits.lower[joint]
+    goal[joint] += steps * (case.step if room else -case.step)
+    return goal
+
+
+def _send(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointCommand:
+    """Send a command that is within every limit; it must be sent as it is."""
+    sent = driver.send(command)
+    require(isinstance(sent, JointCommand), f"send returned {type(sent).__name__}, expected what was really sent")
+    require(sent.duration_s > 0, f"what was sent lasts {sent.duration_s} s")
+    positions = dict(zip(sent.names, sent.position.tolist(), strict=True))
+    for name, wanted in zip(command.names, command.position.tolist(), strict=True):
+        if name not in positions:
+            raise Violation(f"what was sent lacks the joint {name!r}")
+        off = abs(positions[name] - wanted)
+        require(
+            off <= case.tolerance, f"send of {name!r} to {wanted:.4f}, within its limits, says {positions[name]:.4f}"
+        )
+    return sent
+
+
+def _check_arrival(case: RobotCase, driver: RobotDriver, goal: F64, sent: JointCommand, what: str) -> None:
+    limit_s = case.settle_s + sent.duration_s
+    arrived = wait_until(lambda: bool(np.abs(arm_position(case, driver) - goal).max() <= case.tolerance), limit_s)
+    error = float(np.abs(arm_position(case, driver) - goal).max())
+    require(arrived, f"{limit_s:g} s after {what} a joint is still {error:.4f} away")
+
+
+def _check_send(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        goal = _shifted(case, arm_position(case, driver), 1)
+        sent = _send(case, driver, arm_command(case, goal))
+        _check_arrival(case, driver, goal, sent, f"a step of {case.step:g}")
+
+
+def _check_by_name(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        goal = _shifted(case, _shifted(case, arm_position(case, driver), 1), 2, joint=0)
+        command = arm_command(case, goal)
+        turned = replace(command, names=command.names[::-1], position=command.position[::-1])
+        sent = _send(case, driver, turned)
+        _check_arrival(case, driver, goal, sent, "a command with its joints in another order")
+
+
+def _check_pace(case: RobotCase, driver: RobotDriver, start: F64, goal: F64, duration_s: float) -> None:
+    """The motion that was just sent is nowhere far ahead of its duration."""
+    way = float(np.abs(goal - start).max())
+    begun_s = time.monotonic()
+    while True:
+        done = float(np.abs(arm_position(case, driver) - start).max()) / way
+        passed = (time.monotonic() - begun_s) / duration_s
+        if passed >= 1.0 - AHEAD:
+            return
+        require(done <= passed + AHEAD, f"after {passed:.0%} of {duration_s:.3g} s a joint is {done:.0%} of its way")
+        time.sleep(0.005)
+
+
+def _check_duration(case: RobotCase) -> None:
+    limits = arm_limits(case)
+    duration_s = max(1.0, 2 * 5 * case.step / float(limits.velocity[-1]))
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        goal = _shifted(case, start, 5)
+        sent = _send(case, driver, arm_command(case, goal, duration_s))
+        require(sent.duration_s >= 0.99 * duration_s, f"a motion of {duration_s:g} s was sent as {sent.duration_s:g} s")
+        _check_pace(case, driver, start, goal, sent.duration_s)
+        _check_arrival(case, driver, goal, sent, "a slow motion")
+
+
+def _check_speed(case: RobotCase) -> None:
+    limits = arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        goal = _shifted(case, start, FAR)
+        needed_s = FAR * case.step / float(limits.velocity[-1])
+        try:
+            sent = driver.send(arm_command(case, goal, needed_s / 20))
+        except RoboNeuronError:
+            return
+        told = f"a motion that needs {needed_s:.3g} s by the velocity limit was sent as {sent.duration_s:.3g} s"
+        require(sent.duration_s >= 0.95 * needed_s, told)
+        _check_pace(case, driver, start, goal, sent.duration_s)
+        _check_arrival(case, driver, goal, sent, "a motion faster than the limits")
+
+
+def _check_gripper(case: RobotCase) -> None:
+    arm_limits(case)
+    gripper = case.profile().gripper
+    if gripper is None:
+        raise NotApplicable("the robot has no gripper")
+    with opened(case) as driver:
+        arm = arm_command(case, arm_position(case, driver))
+        for opening in OPENINGS:
+            position = np.append(arm.position, gripper.to_position(opening))
+            _send(case, driver, replace(arm, names=(*arm.names, gripper.joint), position=position))
+
+            def is_there(wanted: float = opening) -> bool:
+                measured = read_state(case, driver).gripper_open
+                return measured is not None and abs(measured - wanted) <= OPENING_TOLERANCE
+
+            arrived = wait_until(is_there, case.settle_s)
+            measured = read_state(case, driver).gripper_open
+            require(arrived, f"sent to an opening of {opening:g}, the gripper is at {measured}")
+
+
+def _check_newest(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        goal = _shifted(case, start, -1)
+        with suppress(RoboNeuronError):  # a driver may refuse the longer motion
+            driver.send(arm_command(case, _shifted(case, start, FAR), 30.0))
+        sent = _send(case, driver, arm_command(case, goal))
+        _check_arrival(case, driver, goal, sent, "a command that replaces another")
+
+
+def _check_hold(case: RobotCase) -> None:
+    limits = arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        goal = _shifted(case, start, FAR)
+        duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
+        with suppress(RoboNeuronError):  # a driver may refuse a step as large as this; then it is held where it is
+            driver.send(arm_command(case, goal, duration_s))
+        before = arm_position(case, driver)
+        driver.hold()
+        wait_until(lambda: False, HOLD_S)  # braking takes a moment
+        held = arm_position(case, driver)
+        wait_until(lambda: False, HOLD_S)
+        moved = float(np.abs(arm_position(case, driver) - held).max())
+        jumped = float(np.abs(held - before).max())
+    require(moved <= case.tolerance, f"after hold() a joint moved on by {moved:.4f} in {HOLD_S} s")
+    allowed = 0.25 * FAR * case.step + case.tolerance
+    require(jumped <= allowed, f"hold() moved a joint by {jumped:.4f}")
+
+
+def _check_after_hold(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        driver.hold()
+        goal = _shifted(case, arm_position(case, driver), 1)
+        sent = _send(case, driver, arm_command(case, goal))
+        _check_arrival(case, driver, goal, sent, "a command after hold()")
+
+
+RULES: tuple[Rule[RobotCase], ...] = (
+    driver_rule("send-arrives", "`send` returns what was really sent, and the robot gets there.", "send", _check_send),
+    driver_rule("joints-by-name", "Commanded joints are taken by name, in any order.", "send", _check_by_name),
+    driver_rule("duration-kept", "A motion takes the duration that it was sent with.", "send", _check_duration),
+    driver_rule(
+        "velocity-kept",
+        "A motion too fast for the velocity limits is refused, or takes longer and `send` says so.",
+        "send",
+        _check_speed,
+    ),
+    driver_rule("gripper-follows", "The gripper goes to the opening of its joint's position.", "send", _check_gripper),
+    driver_rule("newest-command-wins", "A command replaces the one before at once.", "send", _check_newest),
+    driver_rule("hold-stops", "After `hold` the robot stands still, also when it was on its way.", "hold", _check_hold),
+    driver_rule("moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold),
+)
+"""Rules of robot drivers on motion."""

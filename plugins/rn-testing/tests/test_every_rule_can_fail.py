@@ -1,0 +1,125 @@
+"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to catch its mistake."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import mutants_backend
+import mutants_controllers
+import mutants_descriptors
+import mutants_engines
+import mutants_robots
+import mutants_sources
+import pytest
+from mutation import Mutant
+
+from rn_testing import (
+    AccelerationCase,
+    BackendCase,
+    Case,
+    ControllerCase,
+    PerceptionCase,
+    RobotCase,
+    RuntimeCase,
+    Verdict,
+    fakes,
+    verify,
+)
+from rn_testing.rules import RULES
+from roboneuron.plugins.specs import RobotSpec, Spec
+
+GOOD: dict[str, Case[Any]] = {
+    "backend": BackendCase(spec=fakes.FAKE_BACKEND),
+    "runtime": RuntimeCase(
+        spec=fakes.FAKE_RUNTIME,
+        model=lambda: "model",
+        request=lambda: "one two three four",
+        bad_request=lambda: 3,
+        other_request=lambda: "one two",
+        expected=lambda: 4,
+        acceleration=lambda: fakes.HalvingAcceleration(None),
+    ),
+    "acceleration": AccelerationCase(
+        spec=fakes.FAKE_ACCELERATION,
+        decoder=fakes.FakeDecoder,
+        expected=lambda decoder: decoder.kept_fraction == 0.5,
+    ),
+    "perception": PerceptionCase(
+        spec=fakes.FAKE_PERCEPTION,
+        feed=lambda source, topics: source.show("front"),
+        timeout_s=1.0,
+        expected=fakes.gradient_image,
+    ),
+    "controller": ControllerCase(spec=fakes.FAKE_CONTROLLER),
+    "robot": RobotCase(spec=fakes.FAKE_ROBOT, settle_s=1.0),
+}
+KINDS = {"driver": "robot", "descriptor": "backend"}
+"""Kind of the rules whose ids begin otherwise."""
+MODULES = (mutants_backend, mutants_engines, mutants_sources, mutants_controllers, mutants_robots, mutants_descriptors)
+MUTANTS: dict[str, Mutant] = {
+    f"{module.__name__.removeprefix('mutants_')}:{name}": mutant
+    for module in MODULES
+    for name, mutant in module.MUTANTS.items()
+}
+
+
+def kind_of(rule_id: str) -> str:
+    """The kind of plugin that a rule is about."""
+    subject = rule_id.partition("/")[0]
+    return KINDS.get(subject, subject)
+
+
+def make_case(name: str) -> Case[Any]:
+    """The good case with the mutant in place of the good plugin."""
+    mutant = MUTANTS[name]
+    module, _, attribute = name.partition(":")
+    target = {} if mutant.target is None else {"target": f"mutants_{module}:{attribute}"}
+    case = GOOD[kind_of(mutant.rule)]
+    spec: Spec = case.spec
+    if mutant.rule.startswith("driver/") and isinstance(spec, RobotSpec):
+        changes = {key: value for key, value in {**target, **mutant.spec}.items() if key != "drivers"}
+        drivers = mutant.spec.get("drivers", (replace(spec.drivers[0], **changes),))
+        return replace(case, spec=replace(spec, drivers=drivers), **mutant.case)
+    return replace(case, spec=replace(spec, **target, **mutant.spec), **mutant.case)
+
+
+@cache
+def outcome_of_the_good(rule_id: str) -> Verdict:
+    kind = kind_of(rule_id)
+    return verify(next(rule for rule in RULES[kind] if rule.id == rule_id), GOOD[kind]).verdict
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_mutant_fails_the_rule_for_its_mistake(name):
+    mutant = MUTANTS[name]
+    rule = next(rule for rule in RULES[kind_of(mutant.rule)] if rule.id == mutant.rule)
+    outcome = verify(rule, make_case(name))
+    assert outcome.verdict is Verdict.FAILED, outcome
+    assert mutant.words in outcome.detail
+    assert outcome.detail
+    assert outcome_of_the_good(mutant.rule) is not Verdict.FAILED
+
+
+def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it():
+    rules = {rule.id for kind, rules in RULES.items() if kind in GOOD for rule in rules}
+    assert {mutant.rule for mutant in MUTANTS.values()} == rules
+
+
+def test_each_kind_has_many_mutants():
+    counts = Counter(kind_of(mutant.rule) for mutant in MUTANTS.values())
+    assert sum(counts.values()) >= 300
+    assert min(counts.values()) >= 20
+
+
+def test_rules_have_unique_ids_a_text_and_a_source():
+    seen: defaultdict[str, set[str]] = defaultdict(set)
+    for rules in RULES.values():
+        assert len({rule.id for rule in rules}) == len(rules)
+        for rule in rules:
+            seen[rule.id].add(rule.text)
+            assert rule.text.endswith(".")
+            assert rule.source
+    assert all(len(texts) == 1 for texts in seen.values())
