@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import roboneuron
 from rn_testing.rules.package import is_public
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +33,6 @@ ALLOWED: dict[str, set[str]] = {
     "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
     "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
-    "log_files": LIGHT,
     "client": LIGHT,
 }
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
