@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import roboneuron
-from rn_testing.rules.package import is_public
+from rn_testing.rules.package import importable, is_public
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
@@ -111,15 +111,14 @@ def test_the_core_names_no_installed_plugin_in_code():
 
 def test_plugins_import_only_what_is_public_of_the_core():
     breaches = []
-    for package in sorted(path.parent for path in PLUGINS.glob("*/src/*/__init__.py")):
-        plugin = package / "plugin.py"  # a library has none
-        offers = plugin.read_text(encoding="utf-8") if plugin.exists() else ""
-        extends_the_server = any(word in offers for word in ("FeatureSpec", "CommandSpec"))
+    for sources in sorted(PLUGINS.glob("*/src")):  # a library offers nothing
+        offers = "".join(path.read_text(encoding="utf-8") for path in sources.glob("*/plugin.py"))
+        packages = importable(feature="FeatureSpec" in offers, command="CommandSpec" in offers)
         breaches += [
             f"{path.relative_to(PLUGINS)}:{line} imports {name}"
-            for path in sorted(package.rglob("*.py"))
+            for path in sorted(sources.rglob("*.py"))
             for name, line in _imports(path)
-            if not is_public(name, extends=extends_the_server)
+            if not is_public(name, packages)
         ]
     assert breaches == []
 

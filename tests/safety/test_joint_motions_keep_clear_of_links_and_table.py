@@ -70,8 +70,7 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
 def simulation() -> Iterator[Simulation]:
     """The simulated FR3; its cubes are out of the way."""
     with Simulation(0, colours=("red",)) as made:
-        for body in made.world.cube_bodies.values():
-            made.world.set_body_pose(body, (0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0))
+        made.world.set_cubes(dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0))))
         yield made
 
 

@@ -79,7 +79,6 @@ def test_modules_do_not_get_the_variables_of_tokens(make: Make) -> None:
     application = make(tokens)
     assert application.supervisor.secret_variables == {"THE_BOSS"}
     assert application.host.identifies_clients
-    assert "expose_endpoint" in {tool.name for tool in application.tools.listing()}
     assert not make("").host.identifies_clients
 
 

@@ -105,6 +105,6 @@ def test_a_key_of_an_older_file_says_where_it_is_now(text: str, place: str) -> N
 
 
 def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:
-    with pytest.raises(ConfigurationError, match="the package rn-ops brings it") as caught:
+    with pytest.raises(ConfigurationError, match="a feature of rn-ops, which is not installed") as caught:
         parse_config(MINIMAL + "[ops]\n", registry=Registry(plugins=(), all_offers=()))
     assert "pip install ./plugins/rn-ops" in caught.value.hint

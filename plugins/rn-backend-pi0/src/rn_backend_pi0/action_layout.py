@@ -7,15 +7,17 @@ from typing import Literal
 
 import numpy as np
 
-from roboneuron import ACTION_SIZE, ConfigurationError, Pose, UngroundedError, UnsafeError
-from roboneuron.contract.rotation import (
-    F64,
+from roboneuron import (
+    ACTION_SIZE,
+    ConfigurationError,
+    Pose,
+    UngroundedError,
+    UnsafeError,
     matrix_from_quaternion,
     matrix_from_rotvec,
-    matrix_from_rpy,
     rotvec_from_matrix,
-    rpy_from_matrix,
 )
+from roboneuron.contract.rotation import F64, matrix_from_rpy, rpy_from_matrix
 
 Meaning = Literal["delta", "absolute"]
 FrameName = Literal["base", "tcp"]

@@ -7,16 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from roboneuron import Observation, Pose, UngroundedError, UnsafeError
-from roboneuron.contract.rotation import (
-    F64,
+from roboneuron import (
+    Observation,
+    Pose,
+    UngroundedError,
+    UnsafeError,
     matrix_from_quaternion,
-    nearer_rotvec,
     quaternion_from_matrix,
     rotvec_from_matrix,
-    rpy_by_down,
-    rpy_from_matrix,
 )
+from roboneuron.contract.rotation import F64, nearer_rotvec, rpy_by_down, rpy_from_matrix
 
 StateTerm = Literal[
     "position",

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import CameraCalibration, Pose
-from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+from roboneuron import CameraCalibration, Pose, matrix_from_quaternion, rotvec_from_matrix
 
 F64 = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from rn_doctor.finding import Check, Finding, Verdict, failed, ok, warning
 from rn_doctor.images import measure_image_transport
+from roboneuron import RoboNeuronError
 from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.plugins.availability import present

@@ -9,7 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-from roboneuron.errors import NotReadyError
+from roboneuron import NotReadyError
 
 IMAGES = 20
 _SIZE_PX = (640, 480)
@@ -84,7 +84,7 @@ def send_images(topic: str) -> int:
     """Publish images once somebody subscribes to `topic`; returns how many (all of them, subscriber or not)."""
     import numpy as np
 
-    from roboneuron.contract import Frame
+    from roboneuron import Frame
     from roboneuron.ros.environment import prepare_environment
 
     prepare_environment()

@@ -27,8 +27,7 @@ from rn_robot_fr3.world import (
     WOOD_KG_M3,
     RawPose,
 )
-from roboneuron import CameraCalibration, ConfigurationError
-from roboneuron.contract.rotation import matrix_from_quaternion
+from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
 

@@ -26,8 +26,7 @@ from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.world import JOINTS, World, build_world
-from roboneuron import InvalidInputError, JointCommand, Pose, StateError
-from roboneuron.contract.rotation import quaternion_from_matrix
+from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
 
 F64 = NDArray[np.float64]
 

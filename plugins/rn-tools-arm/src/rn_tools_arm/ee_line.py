@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from roboneuron.contract import Pose
-from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 
 F64 = NDArray[np.float64]
 STEP_S = 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
 
 import roboneuron
@@ -33,6 +33,8 @@ FOR_FEATURES = (
     "cli", "client", "config", "gate", "interfaces", "log_files", "modules", "planning", "server", "supervisor"
 )  # fmt: skip
 """What packages with features or commands import besides."""
+FOR_COMMANDS = ("ros",)
+"""What packages with commands import besides: a command joins the ROS graph by itself."""
 CORE = "roboneuron-core"
 """Distribution that every plugin needs."""
 KIT = "rn-testing"
@@ -108,22 +110,31 @@ def _check_core(case: PackageCase) -> None:
     require(any(">" in line and "<" in line for line in plain), f"{plain[0]!r} has no lower or no upper bound")
 
 
-def is_public(name: str, *, extends: bool) -> bool:
-    """A plugin may import what `name` means; with `extends` one that offers a feature or a command."""
+def importable(*, feature: bool, command: bool) -> tuple[str, ...]:
+    """Packages of the core that a plugin may import, by what it offers."""
+    return (*PUBLIC, *(FOR_FEATURES if feature or command else ()), *(FOR_COMMANDS if command else ()))
+
+
+def is_public(name: str, packages: Collection[str]) -> bool:
+    """A plugin that may import these packages of the core may import what `name` means."""
     top, *inner = name.split(".")
-    if top != PROJECT or not inner or inner[0] in PUBLIC or (extends and inner[0] in FOR_FEATURES):
+    if top != PROJECT or not inner or inner[0] in packages:
         return True
     return len(inner) == 1 and inner[0] in roboneuron.__all__
 
 
 def _check_direction(case: PackageCase) -> None:
-    extends = any(isinstance(spec, (FeatureSpec, CommandSpec)) for spec in _specs(case))
+    specs = tuple(_specs(case))
+    packages = importable(
+        feature=any(isinstance(spec, FeatureSpec) for spec in specs),
+        command=any(isinstance(spec, CommandSpec) for spec in specs),
+    )
     for path in source_files(case):
         for name, line in imported_modules(path):
-            public = ", ".join((*PUBLIC, *(FOR_FEATURES if extends else ())))
             require(
-                is_public(name, extends=extends),
-                f"{path.name}:{line} imports {name}; this plugin may import what roboneuron.__all__ lists and {public}",
+                is_public(name, packages),
+                f"{path.name}:{line} imports {name}; this plugin may import what roboneuron.__all__ lists and "
+                f"{', '.join(packages)}",
             )
 
 
