@@ -24,8 +24,10 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
-    switching = Switching(ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor))
-    arm.start("robot", "control")
+    loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
+    switching = Switching(loop)
+    loop.start("robot")
+    loop.start("control")
     with arm.waving():
         wait(arm.is_moving, 10.0, "the arm moves")
         before_s = time.monotonic()
