@@ -5,6 +5,7 @@ from __future__ import annotations
 import ssl
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -109,7 +110,7 @@ class PolicyServer:
     def __init__(self) -> None:
         self.answer: Callable[[dict[Any, Any]], Any] = lambda request: {"actions": np.zeros((10, 7))}
         self.metadata: Any = {"policy": "stand-in"}
-        self.requests: list[dict[Any, Any]] = []
+        self.requests: deque[dict[Any, Any]] = deque(maxlen=8)  # images are large
         self.headers: list[Any] = []
         self.connection: ServerConnection | None = None
         self.released = threading.Event()

@@ -135,7 +135,7 @@ def free_domain() -> str:
             2,
             "roboneuron: It is wrong.",
         ),
-        (PermissionError(13, "Permission denied", "/root/x"), 2, "roboneuron: /root/x: Permission denied."),
+        (PermissionError(13, "Permission denied", "/closed/x"), 2, "roboneuron: /closed/x: Permission denied."),
         (ExceptionGroup("tasks", [KeyError("x")]), 70, "roboneuron: an unexpected KeyError: 'x'. Set ROBONEURON_TRACE"),
         (BaseExceptionGroup("tasks", [KeyboardInterrupt()]), 130, ""),
         (KeyboardInterrupt(), 130, ""),

@@ -55,7 +55,10 @@ class Pi0RemoteBackend:
             ConfigurationError: an option does not fit, the key is refused, or the server's answer does not fit.
             NotReadyError: the server cannot be reached in time or fails.
             UnsafeError: the server's model produces non-finite values.
+            StateError: it is loaded already.
         """
+        if self._client is not None:
+            raise StateError("Backend 'pi0-remote' is connected already.", hint="Call close() first.")
         from rn_backend_pi0.client import PolicyClient, check_url  # heavy
 
         config = self._config
