@@ -1,0 +1,59 @@
+"""Features became plugins, the agent's surface did not change: the same tools with the same arguments.
+
+`data/tools-list-before.json` is the default server's `tools/list` before core was split, `...-after.json` after it.
+They differ in output schemas (smaller, docs/tools.md says what the fields mean), texts, and choices of what is
+installed.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DATA = Path(__file__).parent / "data"
+Listing = dict[str, dict[str, Any]]
+
+
+def by_name(tools: list[dict[str, Any]]) -> Listing:
+    return {tool["name"]: tool for tool in tools}
+
+
+def arguments(tool: dict[str, Any]) -> dict[str, object]:
+    """What a caller relies on: names, types, and which are required."""
+    schema = tool["inputSchema"]
+    types = {name: entry.get("type", "any") for name, entry in schema.get("properties", {}).items()}
+    return {"types": types, "required": sorted(schema.get("required", [])), "open": schema.get("additionalProperties")}
+
+
+@pytest.fixture(scope="module")
+def now() -> Listing:
+    done = subprocess.run(
+        [sys.executable, "-m", "roboneuron.cli.main", "tools", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return by_name(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("record", ["before", "after"])
+def test_the_tools_and_their_arguments_are_those_of_the_record(now: Listing, record: str) -> None:
+    recorded = by_name(json.loads((DATA / f"tools-list-{record}.json").read_text(encoding="utf-8")))
+    assert now.keys() == recorded.keys()
+    for name, tool in recorded.items():
+        assert arguments(now[name]) == arguments(tool), name
+
+
+def test_what_a_tool_does_to_the_robot_is_told_as_before(now: Listing) -> None:
+    recorded = by_name(json.loads((DATA / "tools-list-before.json").read_text(encoding="utf-8")))
+    for name, tool in recorded.items():
+        hints, told = tool["annotations"], now[name]["annotations"]
+        assert told["readOnlyHint"] == hints["readOnlyHint"], name
+        if not hints["readOnlyHint"]:
+            assert told["destructiveHint"] == hints["destructiveHint"], name
