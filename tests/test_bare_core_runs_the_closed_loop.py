@@ -1,0 +1,93 @@
+"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature is left out."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+from rn_testing.domain import free_ros_domain
+from roboneuron.plugins.discovery import discover
+
+ROOT = Path(__file__).parents[1]
+FEATURELESS = ("start_robot", "start_perception", "start_control", "start_inference", "set_instruction", "stop_all")
+CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
+
+
+def without_features() -> str:
+    """The embedded default with every package disabled that offers a feature or a command."""
+    from roboneuron.config import default_text
+
+    extending = sorted({o.distribution for kind in ("feature", "command") for o in discover().offers(kind)})
+    listed = ", ".join(f'"{name}"' for name in extending)
+    return f"disabled_plugins = [{listed}]\n{default_text()}"
+
+
+async def run_loop(python: str, config: Path, environment: dict[str, str]) -> set[str]:
+    """Start everything and pick up the cube's first seconds; returns the names of the tools."""
+    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+    server = StdioServerParameters(command=python, args=words, env=environment)
+
+    async def do(client: Client, tool: str, **arguments: Any) -> Any:
+        answer = await client.call_tool(tool, arguments)
+        assert not answer.is_error, answer.content
+        return answer.structured_content
+
+    async with Client(stdio_client(server)) as client:
+        names = {tool.name for tool in (await client.list_tools()).tools}
+        for tool in CLOSED_LOOP:
+            await do(client, tool)
+        await do(client, "start_inference", instruction="pick up the red cube")
+        modules = (await do(client, "get_status"))["modules"]
+        assert {m["module"]: m["phase"] for m in modules} == dict.fromkeys(
+            ("robot", "perception", "inference", "control"), "running"
+        )
+        await do(client, "stop_all")
+    return names
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(180)
+def test_the_closed_loop_runs_without_any_feature(tmp_path: Path) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(without_features())
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain()), "XDG_STATE_HOME": str(tmp_path)}
+    names = anyio.run(run_loop, sys.executable, config, environment)
+    assert set(FEATURELESS) <= names
+    assert not [name for name in names if name.startswith(("switch_", "publish_", "move_")) or name == "get_logs"]
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+@pytest.mark.timeout(900)
+def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_path: Path) -> None:
+    """Installs from the package index; `make test-all` runs it."""
+    venv = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
+    python = str(venv / "bin" / "python")
+    packages = [
+        "roboneuron-core",
+        *(f"plugins/{n}" for n in ("rn-robot-fr3", "rn-controller-urdf", "rn-backend-servo")),
+    ]
+    command = [python, "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
+    subprocess.run([*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600)
+    config = tmp_path / "roboneuron.toml"
+    shown = subprocess.run(
+        [python, "-m", "roboneuron.cli.main", "config", "show"], capture_output=True, text=True, check=True
+    )
+    config.write_text(shown.stdout)
+    environment = {
+        **{k: v for k, v in os.environ.items() if not k.startswith(("ROS", "_ROS", "AMENT", "LD_", "PYTHON"))},
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "XDG_STATE_HOME": str(tmp_path),
+    }
+    names = anyio.run(run_loop, python, config, environment)
+    assert set(FEATURELESS) <= names
+    assert "get_logs" not in names
