@@ -130,6 +130,42 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
     assert loop.supervisor.beside("inference") == []
 
 
+SOON_S = 15.0
+"""Half a second on an idle machine; what counts is that nobody waits for a time-out of 25 s or more."""
+
+
+@pytest.mark.parametrize(
+    "stage", ["new inference: comparing it in shadow with the old one", "inference: changing over"]
+)
+@pytest.mark.parametrize("which", ["old", "new"])
+def test_a_process_that_freezes_ends_the_switch_at_once(
+    cell: tuple[Switching, Witness], stage: str, which: str
+) -> None:
+    switching, witness = cell
+    supervisor = switching.loop.supervisor
+    frozen: list[int] = []
+    at_s: list[float] = []
+
+    def freeze(told: str) -> None:
+        if told == STAGES[stage]:
+            slot = supervisor.slot("inference") if which == "old" else supervisor.beside("inference")[0]
+            assert slot.process is not None
+            frozen.append(slot.process.pid)
+            at_s.append(time.monotonic())
+            os.kill(slot.process.pid, signal.SIGSTOP)
+
+    try:
+        assert "frozen" in refused(switching, NotReadyError, freeze)
+        assert time.monotonic() - at_s[0] < SOON_S
+    finally:
+        if which == "old":
+            os.kill(frozen[0], signal.SIGCONT)
+    witness.forget()
+    wait_until(lambda: len(witness.actions()) > 3, 10.0, "the old backend acts again")
+    assert {action.tag for action in witness.more_actions()} == {1}
+    assert supervisor.beside("inference") == []
+
+
 def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
     switching, witness = cell
     hang = tmp_path / "hang"

@@ -171,7 +171,9 @@ class WarmSwitch:
         with suppress(RoboNeuronError):
             new.send({ACT_FROM: NEVER_NS})
         try:
-            refused = old.set({ACT_UNTIL: 0, PLAY_UNTIL: 0}, _FIND_S, lambda: slot.check_alive("told to go on"))
+            # Sent in any case: one that is frozen reads it, after what it was told before, when it continues.
+            call = old.send({ACT_UNTIL: 0, PLAY_UNTIL: 0})
+            refused = old.finish(call, _FIND_S, lambda: slot.check_alive("told to go on"))
         except RoboNeuronError as error:
             refused = error.message
         if refused:
