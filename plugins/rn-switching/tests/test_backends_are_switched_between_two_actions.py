@@ -132,11 +132,13 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
 
 SOON_S = 15.0
 """Half a second on an idle machine; what counts is that nobody waits for a time-out of 25 s or more."""
+STAGES = {
+    "comparing": "new inference: comparing it in shadow with the old one",
+    "handover": "inference: changing over",
+}
 
 
-@pytest.mark.parametrize(
-    "stage", ["new inference: comparing it in shadow with the old one", "inference: changing over"]
-)
+@pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("which", ["old", "new"])
 def test_a_process_that_freezes_ends_the_switch_at_once(
     cell: tuple[Switching, Witness], stage: str, which: str
