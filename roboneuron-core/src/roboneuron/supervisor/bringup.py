@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report, StatusBoard
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _REASON_S = 1.0
 """The reason of a refused transition is published just before the answer; it may arrive a little later."""
 _PROGRESS_S = 5.0
+_ABSENT_S = 3.0
+"""Modules may be started side by side, in any order: what a start needs may be started this much later."""
 _PERSISTENT_S = 1.5
 """An error that stays this long while a module is active but not ready ends the start; shorter ones may heal."""
 
@@ -39,8 +41,10 @@ class Bringup:
         board: StatusBoard,
         changes: Changes,
         on_stage: Callable[[str], None],
+        absent: Callable[[], Sequence[ModuleKind]],
     ) -> None:
         self._slot = slot
+        self._absent = absent
         self._process = process
         self._name = settings.status_name
         self._timeout_s = settings.config.start_timeout_s(settings.kind)
@@ -95,10 +99,11 @@ class Bringup:
     def _await_ready(self, deadline_s: float) -> None:
         self._stage("waiting for the first output")
         failing_since_s: float | None = None
+        absent_since_s: float | None = None
         told = ""
 
         def ready() -> bool:
-            nonlocal failing_since_s, told
+            nonlocal failing_since_s, absent_since_s, told
             report = self._checked_report()
             if report is None:
                 return False
@@ -114,6 +119,16 @@ class Bringup:
             if report.waiting_for and report.waiting_for != told:
                 told = report.waiting_for
                 self._on_stage(f"{self._slot.kind}: waiting for {told}")
+            absent = self._absent() if report.waiting_for else ()
+            if not absent:
+                absent_since_s = None
+            elif absent_since_s is None:
+                absent_since_s = time.monotonic()
+            elif time.monotonic() - absent_since_s > _ABSENT_S:
+                raise NotReadyError(
+                    f"{self._slot.kind} waits for {report.waiting_for}; not running: {', '.join(absent)}.",
+                    hint=f"Call {', '.join(f'start_{kind}' for kind in absent)} first.",
+                )
             return False
 
         if not self._changes.wait_for(ready, _left(deadline_s)):

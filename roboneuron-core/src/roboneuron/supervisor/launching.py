@@ -83,15 +83,25 @@ class Launcher:
             return None
         return self._board.newest(choice.settings.status_name, process.pid)
 
-    def bring_up(self, slot: Slot, settings: ModuleSettings, python: str | None, on_stage: Stage) -> None:
-        """Spawn, configure, activate and wait for readiness; a failure ends the process."""
+    def bring_up(
+        self,
+        slot: Slot,
+        settings: ModuleSettings,
+        python: str | None,
+        on_stage: Stage,
+        absent: Callable[[], Sequence[ModuleKind]],
+    ) -> None:
+        """Spawn, configure, activate and wait for readiness; a failure ends the process.
+
+        `absent` tells which modules that this one takes inputs from are neither running nor being started.
+        """
         supervision = settings.config.supervisor
         deadline_s = time.monotonic() + settings.config.start_timeout_s(settings.kind)
         phase: Phase = "stopped"
         try:
             slot.process = self._spawn(slot, settings, python)
             bringup = Bringup(
-                slot, slot.process, settings, self._connection.link(), self._board, self._changes, on_stage
+                slot, slot.process, settings, self._connection.link(), self._board, self._changes, on_stage, absent
             )
             bringup.run(deadline_s)
             phase = "running"

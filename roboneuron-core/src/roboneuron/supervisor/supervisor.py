@@ -127,7 +127,7 @@ class Supervisor:
             self._check_open()
             settings = self._settings(kind, kind, config)
             slot.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
-        self._launcher.bring_up(slot, settings, python, on_stage)
+        self._launcher.bring_up(slot, settings, python, on_stage, lambda: self._absent(kind, plan))
         return self.view(kind)
 
     def start_standby(
@@ -159,7 +159,7 @@ class Supervisor:
             standby.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
             self._beside.append(standby)
         try:
-            self._launcher.bring_up(standby, settings, python, on_stage)
+            self._launcher.bring_up(standby, settings, python, on_stage, lambda: self._absent(kind, plan))
         except BaseException:
             self._forget_beside(standby)
             raise
@@ -288,6 +288,14 @@ class Supervisor:
         self._connection.close()
         self._heartbeat.close()
         self._launcher.close()
+
+    def _absent(self, kind: ModuleKind, plan: Plan | None) -> list[ModuleKind]:
+        """Modules that one of `kind` takes inputs from and that are neither running nor being started."""
+        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {"control": ("robot",), "inference": ("perception",)}
+        needed = sources.get(kind, ())
+        if kind == "inference" and plan is not None and plan.backend is not None and plan.backend.needs_state:
+            needed = ("robot", "perception", "control")
+        return [other for other in needed if self._slots[other].phase not in ("starting", "running")]
 
     def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
         return ModuleSettings(
