@@ -14,7 +14,7 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
-  plugins/rn-demo plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
+  plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,

@@ -14,6 +14,7 @@ from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
 from rn_testing.domain import free_ros_domain
+from roboneuron.config import default_text
 from roboneuron.plugins.discovery import discover
 
 ROOT = Path(__file__).parents[1]
@@ -23,8 +24,6 @@ CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 def without_features() -> str:
     """The embedded default with every package disabled that offers a feature or a command."""
-    from roboneuron.config import default_text
-
     extending = sorted({o.distribution for kind in ("feature", "command") for o in discover().offers(kind)})
     listed = ", ".join(f'"{name}"' for name in extending)
     return f"disabled_plugins = [{listed}]\n{default_text()}"
@@ -79,10 +78,7 @@ def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_
     command = [python, "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
     subprocess.run([*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600)
     config = tmp_path / "roboneuron.toml"
-    shown = subprocess.run(
-        [python, "-m", "roboneuron.cli.main", "config", "show"], capture_output=True, text=True, check=True
-    )
-    config.write_text(shown.stdout)
+    config.write_text(default_text())
     environment = {
         **{k: v for k, v in os.environ.items() if not k.startswith(("ROS", "_ROS", "AMENT", "LD_", "PYTHON"))},
         "ROS_DOMAIN_ID": str(free_ros_domain()),

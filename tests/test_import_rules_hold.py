@@ -33,7 +33,6 @@ ALLOWED: dict[str, set[str]] = {
     "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
     "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
-    "client": LIGHT,
 }
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
 ROS_ROOMS = {"ros", "modules", "interfaces"}

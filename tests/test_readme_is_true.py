@@ -10,7 +10,7 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from roboneuron.cli.commands import COMMANDS, installed_commands
+from roboneuron.cli.commands import COMMANDS, GROUPS, installed_commands
 from roboneuron.config import default_text
 from roboneuron.plugins.discovery import discover
 
@@ -44,7 +44,7 @@ def test_every_command_in_the_readme_exists(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
     used = set(re.findall(r"(?:^|`)roboneuron ([a-z]+)", text, re.MULTILINE))
     assert used
-    assert used <= {*COMMANDS, *installed_commands(discover())}
+    assert used <= {*COMMANDS, *GROUPS, *installed_commands(discover())}
     targets = set(re.findall(r"make ([a-z-]+)", " ".join(blocks(root, "bash"))))
     makefile = (root / "Makefile").read_text(encoding="utf-8")
     assert {t for t in targets if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()

@@ -12,7 +12,7 @@ import pytest
 
 from rn_console.completion import SHELLS
 from rn_console.parsers import whole_parser
-from roboneuron.cli.commands import COMMANDS, installed_commands
+from roboneuron.cli.commands import COMMANDS, installed_commands, spoken
 from roboneuron.cli.main import main
 from roboneuron.plugins.discovery import discover
 
@@ -29,7 +29,8 @@ def scripts() -> dict[str, str]:
 @pytest.mark.parametrize("shell", SHELLS)
 def test_commands_of_core_and_of_plugins_are_in_it(scripts: dict[str, str], shell: str) -> None:
     for name in [*COMMANDS, *installed_commands(discover())]:
-        assert name in scripts[shell]
+        for word in spoken(name).split():
+            assert word in scripts[shell]
     assert "token-variable" in scripts[shell]
 
 
@@ -60,6 +61,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
         (["status", "--w"], {"--watch"}),
         (["run", "--ti"], {"--timeout-s"}),
         (["config", "sh"], {"show"}),
+        (["plugins", ""], {"list", "show", "check"}),
     ],
 )
 def test_bash_completes_words(scripts: dict[str, str], tmp_path: Path, words: list[str], expected: set[str]) -> None:

@@ -150,8 +150,8 @@ def test_every_exception_becomes_a_status_and_a_line(
 
     monkeypatch.delenv(terminal.TRACEBACK_VARIABLE, raising=False)
     monkeypatch.setattr("roboneuron.cli.config.run", fail)
-    assert "config" in commands.COMMANDS
-    assert main(["config", "show"]) == status
+    assert "config-check" in commands.COMMANDS
+    assert main(["config", "check", "x.toml"]) == status
     shown = capsys.readouterr().err
     assert shown.startswith(words)
     assert len(shown.splitlines()) == bool(words)

@@ -1,4 +1,4 @@
-"""`roboneuron plugins`: what it prints, its stable JSON, its exit status, and what it never imports."""
+"""`roboneuron plugins list`: what it prints, its stable JSON, its exit status, and what it never imports."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from rn_testing.fakes import fake_registry
-from roboneuron.cli import plugin_listing
+from roboneuron.cli import plugins
+from roboneuron.cli.commands import named_command
 from roboneuron.cli.main import main
-from roboneuron.cli.plugin_detail import find
-from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover_from
 
 SCHEMA = Path(__file__).parents[3] / "docs" / "reference" / "plugins-list.schema.json"
@@ -39,6 +37,7 @@ def only(site, monkeypatch):
         return discover_from(points, disabled)
 
     monkeypatch.setattr("roboneuron.cli.plugins.discover", discover)
+    monkeypatch.setattr("roboneuron.cli.main.discover", discover)
     return site
 
 
@@ -52,6 +51,7 @@ def test_list_shows_every_offer_and_what_to_do_about_trouble(only, capsys):
     assert "rn-bad is failed" in out
     assert "ZeroDivisionError" in out
     assert "roboneuron plugins show rn-bad" in out
+    assert "\x1b" not in out
 
 
 def test_list_without_plugins_says_what_to_install(only, capsys):
@@ -66,7 +66,7 @@ def test_list_json_follows_its_schema(only, capsys):
     assert main(["plugins", "list", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
-    assert document["schema_version"] == plugin_listing.SCHEMA_VERSION
+    assert document["schema_version"] == plugins.SCHEMA_VERSION
     assert [p["status"] for p in document["plugins"]] == ["failed", "conflict", "conflict"]
     assert document["plugins"][1]["offers"][0]["requires"] == ["json"]
 
@@ -95,32 +95,6 @@ def test_a_wrong_configuration_is_named(only, tmp_path, capsys, text, words):
     config.write_text(text)
     assert main(["plugins", "--config", str(config), "list"]) == 2
     assert words in capsys.readouterr().err
-
-
-def test_show_prints_the_facts_of_a_descriptor_and_tracebacks(only, capsys):
-    only.install("rn-good", GOOD)
-    only.install("rn-bad", "1 / 0")
-    assert main(["plugins", "show", "good"]) == 0
-    out = capsys.readouterr().out
-    assert "target: good_module:Good" in out
-    assert "optional_cameras: wrist" in out
-    assert "action_space: width=7" in out
-    assert main(["plugins", "show", "rn-bad"]) == 0
-    assert "ZeroDivisionError" in capsys.readouterr().out
-
-
-def test_show_of_an_unknown_name_suggests_the_nearest(only, capsys):
-    only.install("rn-good", GOOD)
-    assert main(["plugins", "show", "goood"]) == 2
-    assert "Did you mean 'good'" in capsys.readouterr().err
-
-
-def test_find_takes_offers_by_name_and_kind():
-    registry = fake_registry()
-    assert [o.spec.kind for _, offers in find(registry, "gantry", None) for o in offers] == ["controller", "robot"]
-    assert [o.spec.kind for _, offers in find(registry, "gantry", "robot") for o in offers] == ["robot"]
-    with pytest.raises(ConfigurationError, match="of kind backend"):
-        find(registry, "gantry", "backend")
 
 
 CHECKER = """
@@ -158,10 +132,40 @@ def test_check_without_such_a_plugin_says_what_to_install(only, capsys):
     assert "pip install ./plugins/rn-testing" in error
 
 
-def test_a_command_that_is_not_installed_is_named_with_its_package(only, monkeypatch, capsys):
-    monkeypatch.setattr("roboneuron.cli.main.discover", only.discover)
-    assert main(["new", "backend", "nod"]) == 2
-    assert "the package rn-testing brings it" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (["new", "backend", "nod"], "rn-testing"),
+        (["call", "get_status"], "rn-console"),
+        (["tools"], "rn-console"),
+        (["config", "show"], "rn-console"),
+        (["config", "reference"], "rn-console"),
+        (["plugins", "show", "fr3"], "rn-console"),
+    ],
+)
+def test_a_command_that_is_not_installed_is_named_with_its_package(only, capsys, words, package):
+    assert main(words) == 2
+    assert f"the package {package} brings it" in capsys.readouterr().err
+
+
+def test_options_of_a_group_may_stand_before_its_action():
+    assert named_command(["plugins", "--config", "list", "show", "x"]) == ("plugins-show", ["--config", "list", "x"])
+    assert named_command(["plugins", "-v", "list"]) == ("plugins-list", ["-v"])
+    assert named_command(["serve", "--config", "list"]) == ("serve", ["--config", "list"])
+
+
+@pytest.mark.parametrize("words", [["plugins"], ["plugins", "--help"]])
+def test_a_group_without_an_action_lists_its_actions(only, capsys, words):
+    only.install("rn-kit", CHECKER)
+    try:
+        status = main(words)
+    except SystemExit as ended:
+        status = 0 if ended.code == 0 else 1
+    assert status == (0 if "--help" in words else 2)
+    shown = "".join(capsys.readouterr())
+    assert "plugins list" in shown
+    assert "plugins check  checks" in shown
+    assert "serve" not in shown
 
 
 def test_listing_everything_installed_imports_nothing_heavy():
@@ -184,4 +188,4 @@ def test_help_lists_every_command_without_importing_it(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--help"])
     assert ended.value.code == 0
-    assert "list, show and check the installed plugins" in capsys.readouterr().out
+    assert "plugins list      list the installed plugins" in capsys.readouterr().out

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.cli.config import reference
 from roboneuron.config import load_config, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Registry
 
 MINIMAL = '[robot]\nname = "arm"\n'
-DOCS = Path(__file__).parents[3] / "docs"
 
 
 def test_embedded_default_is_valid() -> None:
@@ -71,10 +69,6 @@ def test_integers_are_accepted_where_seconds_are_meant() -> None:
     config = parse_config(MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = 1\n")
     assert config.control is not None
     assert config.control.action_timeout_s == 1.0
-
-
-def test_configuration_page_is_current() -> None:
-    assert (DOCS / "configuration.md").read_text(encoding="utf-8") == reference()
 
 
 def test_a_checkpoint_is_given_more_time_to_load() -> None:

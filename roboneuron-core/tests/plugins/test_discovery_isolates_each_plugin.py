@@ -197,4 +197,4 @@ def test_records_say_where_they_come_from(site):
     (record,) = site.discover().plugins
     assert isinstance(record, PluginRecord)
     assert (record.version, record.module) == ("2.5", "rn_good_plugin")
-    assert [s.name for s in record.specs] == ["good"]
+    assert [o.spec.name for o in record.offers] == ["good"]

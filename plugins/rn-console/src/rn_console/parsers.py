@@ -9,7 +9,7 @@ from pathlib import Path
 
 import shtab
 
-from roboneuron.cli.commands import COMMANDS, installed_commands, load_command
+from roboneuron.cli.commands import COMMANDS, installed_commands, load_command, spoken
 from roboneuron.cli.terminal import add_verbosity
 from roboneuron.errors import RoboNeuronError
 from roboneuron.plugins.discovery import discover
@@ -24,6 +24,7 @@ def whole_parser() -> ArgumentParser:
     parser = ArgumentParser(prog="roboneuron")
     parser.add_argument("--version", action="store_true", help="show program's version number and exit")
     commands = parser.add_subparsers(dest="command")
+    groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
     listed = {name: command.summary for name, command in COMMANDS.items()}
     for name, summary in {**listed, **installed_commands(registry)}.items():
         try:
@@ -31,7 +32,11 @@ def whole_parser() -> ArgumentParser:
         except RoboNeuronError as error:
             log.warning("The command %s is left out: %s", name, error)
             continue
-        command = commands.add_parser(name, help=summary, description=module.__doc__)
+        group, _, word = spoken(name).rpartition(" ")
+        if group and group not in groups:
+            groups[group] = commands.add_parser(group, help="see its actions").add_subparsers(dest="action")
+        holder = groups.get(group, commands)
+        command = holder.add_parser(word, help=summary, description=module.__doc__)
         module.configure(command)
         add_verbosity(command)
     for action in _actions(parser):

@@ -22,7 +22,28 @@ COMPLETION = CommandSpec(
     summary="print a completion script for bash, zsh or fish",
     target="rn_console.completion:Completion",
 )
-COMMANDS = (RUN, STATUS, LOGS, COMPLETION)
+CALL = CommandSpec(
+    name="call",
+    summary="call a tool as an agent would, on a spawned or a running server",
+    target="rn_console.call:Call",
+)
+TOOLS = CommandSpec(name="tools", summary="list the tools that agents get", target="rn_console.tools:Tools")
+CONFIG_SHOW = CommandSpec(
+    name="config-show",
+    summary="print the default configuration and the options of features",
+    target="rn_console.configuration:ConfigShow",
+)
+CONFIG_REFERENCE = CommandSpec(
+    name="config-reference",
+    summary="list all keys of roboneuron.toml, as Markdown",
+    target="rn_console.configuration:ConfigReference",
+)
+PLUGINS_SHOW = CommandSpec(
+    name="plugins-show",
+    summary="show everything about one plugin, or one thing it offers",
+    target="rn_console.plugins_show:PluginsShow",
+)
+COMMANDS = (RUN, STATUS, LOGS, CALL, TOOLS, CONFIG_SHOW, CONFIG_REFERENCE, PLUGINS_SHOW, COMPLETION)
 """Descriptors of the commands."""
 
 

@@ -14,7 +14,7 @@ class Run:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron run`."""
-        from roboneuron.cli import connection
+        from rn_console import connection
 
         parser.add_argument("instruction", metavar="INSTRUCTION", help='what to do, such as "pick up the red cube"')
         connection.add_arguments(parser)

@@ -28,7 +28,7 @@ class StatusCommand:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron status`."""
-        from roboneuron.cli import connection
+        from rn_console import connection
 
         connection.add_arguments(parser)
         parser.add_argument(
@@ -78,8 +78,8 @@ async def _ask(arguments: Namespace) -> int:
     """Ask a running server."""
     import anyio
 
+    from rn_console import connection
     from rn_console.session import Session
-    from roboneuron.cli import connection
 
     async with connection.connect(arguments) as client:
         session = Session(client, arguments.url)

@@ -10,12 +10,12 @@ import anyio
 from anyio.abc import TaskStatus
 from mcp.shared.exceptions import MCPError
 
+from rn_console import connection
 from rn_console.judge import Judge, Outcome, Verdict
 from rn_console.screen import Screen
 from rn_console.session import Session
 from rn_console.status import ModuleStatus, ServerStatus
 from rn_console.table import fault_text
-from roboneuron.cli import connection
 from roboneuron.errors import NotReadyError, RefusedError
 
 _LOOK_PERIOD_S = 0.25

@@ -12,10 +12,10 @@ from typing import Any
 
 from rich.console import Console
 
+from rn_console.client import spawned_server
 from rn_demo.agent import Agent, SimulatedObject, module_status, simulated_objects
 from rn_demo.film import Film
 from rn_demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, Screen
-from roboneuron.client import spawned_server
 from roboneuron.config import default_text, load_config
 from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError
 

@@ -10,10 +10,10 @@ NEW = CommandSpec(
 """Descriptor of `roboneuron new`."""
 CHECK = CommandSpec(
     name="plugins-check",
-    summary="run the contract rules against an installed plugin, as `roboneuron plugins check`",
+    summary="run the contract rules against an installed plugin",
     target="rn_testing.plugin_check:PluginsCheck",
 )
-"""Descriptor of `roboneuron plugins check`: the command `plugins` of core hands over to it."""
+"""Descriptor of `roboneuron plugins check`."""
 
 
 @hookimpl

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from roboneuron.cli.plugin_detail import find
 from roboneuron.cli.plugins import read_disabled
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
@@ -89,7 +88,7 @@ def check(
     """
     parsed = parse_options(options)
     results: list[Result] = []
-    for record, offers in find(registry, name, kind):
+    for record, offers in registry.find(name, kind):
         usable = [o for o in offers if o.status is Status.READY]
         results += [
             Result(

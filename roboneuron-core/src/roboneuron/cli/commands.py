@@ -1,4 +1,7 @@
-"""The commands: those of core, and those that plugins offer."""
+"""The commands: those of core, and those that plugins offer.
+
+A command called `plugins-list` is used as `roboneuron plugins list`: its group, then its action.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +39,30 @@ class CommandModule(Protocol):
 COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
-    "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
-    "call": Command("roboneuron.cli.call", "call a tool as an agent would, on a spawned or a running server"),
-    "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
     "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
-    "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
+    "config-check": Command("roboneuron.cli.config", "say what is wrong with a roboneuron.toml, as `serve` would"),
+    "plugins-list": Command("roboneuron.cli.plugins", "list the installed plugins and what they offer"),
 }
 """Command by name, in the order of `roboneuron --help`."""
+GROUPS = ("config", "plugins")
+"""Words that stand before the actions of several commands."""
+
+
+def spoken(name: str) -> str:
+    """A command's name as it is written on the command line."""
+    return name.replace("-", " ", 1) if name.partition("-")[0] in GROUPS else name
+
+
+def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
+    """The name of the command that a command line means, and the words that are the command's own.
+
+    Options may stand between a group and its action: `plugins --config FILE list`.
+    """
+    name, *own = words
+    actions = [i for i, word in enumerate(own) if not word.startswith("-") and own[i - 1 : i] != ["--config"]]
+    if name not in GROUPS or not actions:
+        return name, own
+    return f"{name}-{own.pop(actions[0])}", own
 
 
 def installed_commands(registry: Registry) -> dict[str, str]:

@@ -8,7 +8,15 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 from roboneuron import __version__
-from roboneuron.cli.commands import COMMANDS, installed_commands, load_command, run_command
+from roboneuron.cli.commands import (
+    COMMANDS,
+    GROUPS,
+    installed_commands,
+    load_command,
+    named_command,
+    run_command,
+    spoken,
+)
 from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error, with_verbosity_behind
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.packages import package_of
@@ -20,14 +28,15 @@ EXIT_FAILED = 1
 """The command ran and its answer is no (a check failed, a plugin is not ready)."""
 
 
-def build_parser(registry: Registry) -> ArgumentParser:
-    """The parser of `roboneuron` itself; commands are listed, not imported."""
-    listed = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(registry)
+def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
+    """The parser of `roboneuron` itself, or of a group of its commands; they are listed, not imported."""
+    summaries = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(registry)
+    listed = {spoken(name): text for name, text in summaries.items() if spoken(name).startswith(f"{group} ".lstrip())}
     width = max(len(name) for name in listed)
     table = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in listed.items())
     parser = ArgumentParser(
         prog="roboneuron",
-        usage="roboneuron COMMAND [options]",
+        usage=f"roboneuron {group or 'COMMAND'} {'ACTION ' if group else ''}[options]",
         description="Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots and VLA models.",
         epilog=f"commands:\n{table}\n\n`roboneuron COMMAND --help` explains one of them.",
         formatter_class=RawDescriptionHelpFormatter,
@@ -42,21 +51,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status."""
     accept_any_text()
     words = with_verbosity_behind(sys.argv[1:] if argv is None else argv)
-    if not words or words[0].startswith("-"):
-        parser = build_parser(discover())
-        parser.parse_args(words)  # --help and --version end here
+    name, own = named_command(words) if words else ("", [])
+    if not name or name.startswith("-") or name in GROUPS:
+        is_group = name in GROUPS
+        parser = build_parser(discover(), name if is_group else "")
+        parser.parse_args(own if is_group else words)  # --help and --version end here
         parser.print_help(sys.stderr)
         return EXIT_USAGE
-    name, *rest = words
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
     if registry is not None and not _is_known(name, registry):
-        names = [*COMMANDS, *installed_commands(registry)]
-        close = get_close_matches(name, names, n=1)
+        names = [*map(spoken, [*COMMANDS, *installed_commands(registry)]), *GROUPS]
+        close = get_close_matches(spoken(name), names, n=1)
         nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."
-        print(f"roboneuron: there is no command {name!r}; {nearest}", file=sys.stderr)
+        print(f"roboneuron: there is no command {spoken(name)!r}; {nearest}", file=sys.stderr)
         return EXIT_USAGE
     try:
-        return run_command(load_command(name, registry), f"roboneuron {name}", rest)
+        return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return EXIT_OK

@@ -44,8 +44,6 @@ def _replace(error: UnicodeError) -> tuple[str, int]:
 
 def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
     """Add -v and -q to a command's parser and to those of its subcommands; options of the command itself win."""
-    if "-" not in parser.prefix_chars:  # its words go to another parser
-        return
     for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
         with suppress(ArgumentError):
             parser.add_argument(

@@ -35,14 +35,6 @@ _SPEC_MARK = f"{PROJECT}_spec"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Finding:
-    """A record that is not final yet: conflicts are known only when all plugins were read."""
-
-    record: PluginRecord
-    offers: tuple[Offer, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class _Claim:
     """An entry point with its distribution's name and version, which cost reading a file each time they are asked."""
 
@@ -68,20 +60,20 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
     claims = sorted((_identify(point) for point in points), key=lambda c: (c.distribution, c.point.value))
     skipped = _check_disabled(disabled, {c.distribution for c in claims})
     hooks = Hooks()
-    brought: list[_Finding] = []
+    records: list[PluginRecord] = []
     waiting: list[_Claim] = []
     for claim in claims:  # what features bring has to be known before any other plugin can offer it
         if _normalise(claim.distribution) in skipped:
-            brought.append(_disable(claim))
+            records.append(_record(claim, Status.DISABLED, "Disabled by the configuration."))
             continue
         try:
             hooks = hooks.extended(_features(claim))
         except PluginError as error:
-            brought.append(_Finding(record=_record(claim, Status.FAILED, str(error), _trace(error))))
+            records.append(_record(claim, Status.FAILED, str(error), _trace(error)))
         else:
             waiting.append(claim)
-    findings = [*brought, *(_examine(claim, hooks) for claim in waiting)]
-    return _settle(sorted(findings, key=lambda f: (f.record.distribution, f.record.module)), hooks)
+    records += [_examine(claim, hooks) for claim in waiting]
+    return _settle(sorted(records, key=lambda r: (r.distribution, r.module)), hooks)
 
 
 def _features(claim: _Claim) -> tuple[FeatureSpec, ...]:
@@ -129,22 +121,17 @@ def _record(claim: _Claim, status: Status, reason: str = "", trace: str = "") ->
     )
 
 
-def _disable(claim: _Claim) -> _Finding:
-    return _Finding(record=_record(claim, Status.DISABLED, "Disabled by the configuration."))
-
-
-def _examine(claim: _Claim, hooks: Hooks) -> _Finding:
+def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
     """Import one plugin and call its hooks; every failure ends in its own record."""
     try:
         with redirect_stdout(sys.stderr):
             specs = read_module(claim.point.load(), hooks)
     except PluginError as error:
-        return _Finding(record=_record(claim, Status.FAILED, str(error), _trace(error)))
+        return _record(claim, Status.FAILED, str(error), _trace(error))
     except (Exception, SystemExit) as error:
         where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
-        return _Finding(record=_record(claim, Status.FAILED, where, traceback.format_exc()))
-    record = replace(_record(claim, Status.READY), specs=specs)
-    return _Finding(record=record, offers=tuple(_offer(spec, record.distribution) for spec in specs))
+        return _record(claim, Status.FAILED, where, traceback.format_exc())
+    return replace(_record(claim, Status.READY), offers=tuple(_offer(spec, claim.distribution) for spec in specs))
 
 
 def _trace(error: BaseException) -> str:
@@ -225,21 +212,17 @@ def _offer(spec: Spec, distribution: str) -> Offer:
     return Offer(spec=spec, distribution=distribution, status=Status.READY)
 
 
-def _settle(findings: Sequence[_Finding], hooks: Hooks) -> Registry:
+def _settle(records: Sequence[PluginRecord], hooks: Hooks) -> Registry:
     """Mark claims on one name as conflicts and give each plugin the worst status of its offers."""
     claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
-    for finding in findings:
-        for offer in finding.offers:
+    for record in records:
+        for offer in record.offers:
             for claim in _claimed(offer.spec):
                 claims[claim].append(offer.distribution)
-    records: list[PluginRecord] = []
-    offers: list[Offer] = []
-    for finding in findings:
-        settled = [_contest(o, claims) for o in finding.offers]
-        offers += settled
-        records.append(_summarise(finding.record, settled))
+    settled = tuple(_summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records)
+    offers = [offer for record in settled for offer in record.offers]
     offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.distribution))
-    return Registry(plugins=tuple(records), all_offers=tuple(offers), kinds=hooks.kinds)
+    return Registry(plugins=settled, all_offers=tuple(offers), kinds=hooks.kinds)
 
 
 def _claimed(spec: Spec) -> list[tuple[str, str]]:
@@ -259,7 +242,7 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
     return offer
 
 
-def _summarise(record: PluginRecord, offers: Sequence[Offer]) -> PluginRecord:
+def _summarise(record: PluginRecord, offers: tuple[Offer, ...]) -> PluginRecord:
     worst = max((o.status for o in offers), key=SEVERITY.index, default=record.status)
     reasons = dict.fromkeys(f"{o.spec.kind} {o.spec.name}: {o.reason}" for o in offers if o.reason)
-    return replace(record, status=worst, reason=" ".join(reasons) or record.reason)
+    return replace(record, status=worst, reason=" ".join(reasons) or record.reason, offers=offers)

@@ -51,7 +51,7 @@ class PluginRecord:
         status: the worst of its offers, or FAILED or DISABLED for the whole.
         reason: why it is not ready; empty when it is.
         traceback: of the exception that made it fail; empty otherwise.
-        specs: descriptors it offered, also those that cannot be used.
+        offers: what it offers, in the order of its hooks, also what cannot be used.
     """
 
     distribution: str
@@ -60,4 +60,4 @@ class PluginRecord:
     status: Status
     reason: str = ""
     traceback: str = ""
-    specs: tuple[Spec, ...] = ()
+    offers: tuple[Offer, ...] = ()

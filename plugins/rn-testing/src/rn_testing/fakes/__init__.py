@@ -35,7 +35,7 @@ def fake_registry(*more: Spec) -> Registry:
     specs = (*FAKE_SPECS, *more)
     offers = tuple(Offer(spec=s, distribution="rn-fakes", status=Status.READY) for s in specs)
     record = PluginRecord(
-        distribution="rn-fakes", version="1.0", module="rn_testing.fakes", status=Status.READY, specs=specs
+        distribution="rn-fakes", version="1.0", module="rn_testing.fakes", status=Status.READY, offers=offers
     )
     return Registry(plugins=(record,), all_offers=offers)
 

@@ -1,4 +1,4 @@
-"""An MCP client of a server that this process starts: what the demo and `roboneuron call` have in common."""
+"""An MCP client of a server that this process starts."""
 
 from __future__ import annotations
 

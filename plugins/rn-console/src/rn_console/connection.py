@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_console.client import leaves_of, spawned_server
 from roboneuron.cli.terminal import log_level
-from roboneuron.client import leaves_of, spawned_server
 from roboneuron.errors import ConfigurationError
 from roboneuron.ros.environment import CLIENT_TOKEN
 

@@ -1,8 +1,4 @@
-"""Call tools of a server, as an agent would: of a running one over HTTP, or of one that lives as long as the command.
-
-Without --url a server is started for these calls. It ends with the command, and what the calls have started ends with
-it. With --keep the command stays, and the robot with it, until Ctrl-C.
-"""
+"""The command `roboneuron call`."""
 
 from __future__ import annotations
 
@@ -13,42 +9,48 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.cli import connection
+from rn_console import connection
 
 if TYPE_CHECKING:
     from mcp import Client, types
 
 
-def configure(parser: ArgumentParser) -> None:
-    """Add the arguments of `roboneuron call`."""
-    parser.add_argument("tool", metavar="TOOL", help="as in `roboneuron tools`")
-    parser.add_argument("arguments", metavar="JSON", nargs="?", default="{}", help="such as '{\"timeout_s\": 2}'")
-    parser.add_argument(
-        "--then", nargs="+", action="append", default=[], metavar=("TOOL", "JSON"), help="call another one after it"
-    )
-    connection.add_arguments(parser)
-    parser.add_argument(
-        "--keep", action="store_true", help="after the calls keep the server, and what they started, until Ctrl-C"
-    )
-    parser.add_argument("--images", type=Path, metavar="FOLDER", help="save the images of the answer here")
+class Call:
+    """Call tools of a server, as an agent would: of a running one over HTTP, or of one started for these calls.
 
+    Without --url a server is started. It ends with the command, and what the calls have started ends with it. With
+    --keep the command stays, and the robot with it, until Ctrl-C.
+    """
 
-def run(arguments: Namespace) -> int:
-    """Call, print the structured answers as JSON lines; status 1 when one is an error, and no further calls."""
-    from roboneuron.errors import ConfigurationError
-
-    if too_long := next((words for words in arguments.then if len(words) > 2), None):
-        raise ConfigurationError(
-            f"--then takes a tool and its arguments, got {' '.join(too_long)!r}.",
-            hint="Quote the JSON, and write --then once for each tool.",
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron call`."""
+        parser.add_argument("tool", metavar="TOOL", help="as in `roboneuron tools`")
+        parser.add_argument("arguments", metavar="JSON", nargs="?", default="{}", help="such as '{\"timeout_s\": 2}'")
+        parser.add_argument(
+            "--then", nargs="+", action="append", default=[], metavar=("TOOL", "JSON"), help="call another one after it"
         )
-    if arguments.keep and arguments.url is not None:
-        raise ConfigurationError("--keep is for a server that `call` starts; the one at --url goes on by itself.")
-    calls = [(arguments.tool, arguments.arguments), *arguments.then]
-    parsed = [(call[0], _parse(call[1]) if len(call) > 1 else {}) for call in calls]
-    import anyio  # heavy
+        connection.add_arguments(parser)
+        parser.add_argument(
+            "--keep", action="store_true", help="after the calls keep the server, and what they started, until Ctrl-C"
+        )
+        parser.add_argument("--images", type=Path, metavar="FOLDER", help="save the images of the answer here")
 
-    return anyio.run(_call_all, arguments, parsed)
+    def run(self, arguments: Namespace) -> int:
+        """Call, print the structured answers as JSON lines; status 1 when one is an error, and no further calls."""
+        from roboneuron.errors import ConfigurationError
+
+        if too_long := next((words for words in arguments.then if len(words) > 2), None):
+            raise ConfigurationError(
+                f"--then takes a tool and its arguments, got {' '.join(too_long)!r}.",
+                hint="Quote the JSON, and write --then once for each tool.",
+            )
+        if arguments.keep and arguments.url is not None:
+            raise ConfigurationError("--keep is for a server that `call` starts; the one at --url goes on by itself.")
+        calls = [(arguments.tool, arguments.arguments), *arguments.then]
+        parsed = [(call[0], _parse(call[1]) if len(call) > 1 else {}) for call in calls]
+        import anyio  # heavy
+
+        return anyio.run(_call_all, arguments, parsed)
 
 
 def _parse(text: str) -> dict[str, Any]:

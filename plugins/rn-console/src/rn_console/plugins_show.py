@@ -1,42 +1,33 @@
-"""`roboneuron plugins show NAME`: every fact a descriptor states, and the traceback of what failed."""
+"""The command `roboneuron plugins show`."""
 
 from __future__ import annotations
 
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from difflib import get_close_matches
 
-from roboneuron.cli.options import describe_options
-from roboneuron.cli.plugin_listing import STYLES, offers_of
-from roboneuron.errors import ConfigurationError
+from rn_console.options import describe_options
+from roboneuron.cli.plugins import STYLES, add_config, read_disabled
 from roboneuron.plugins import availability
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.record import Offer, PluginRecord, Status
+from roboneuron.plugins.record import Offer, Status
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import KINDS, DriverSpec, RobotSpec, Spec
 
 
-def find(registry: Registry, name: str, kind: str | None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
-    """The plugins that `name` means, each with the offers it means: all for a distribution, else those of that name.
+class PluginsShow:
+    """Show everything about one plugin, or about one thing it offers, and the traceback of what failed."""
 
-    Raises:
-        ConfigurationError: nothing has that name; names the nearest.
-    """
-    found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
-    names: set[str] = set()
-    for record in registry.plugins:
-        offers = tuple(o for o in offers_of(registry, record) if kind is None or o.spec.kind == kind)
-        named = offers if record.distribution == name else tuple(o for o in offers if o.spec.name == name)
-        names |= {record.distribution, *(o.spec.name for o in offers)}
-        if named or record.distribution == name:
-            found.append((record, named))
-    if not found:
-        close = get_close_matches(name, names, n=1)
-        nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
-        raise ConfigurationError(
-            f"No installed plugin or offer{f' of kind {kind}' if kind else ''} is {name!r}.", hint=nearest
-        )
-    return found
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron plugins show`."""
+        add_config(parser)
+        parser.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
+        parser.add_argument("--kind", choices=sorted(KINDS), help="look at offers of this kind only")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron plugins show`."""
+        return show(discover(read_disabled(arguments.config)), arguments.name, arguments.kind)
 
 
 def show(registry: Registry, name: str, kind: str | None) -> int:
@@ -45,7 +36,7 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
     from rich.text import Text
 
     console = Console(highlight=False, soft_wrap=True)
-    for record, offers in find(registry, name, kind):
+    for record, offers in registry.find(name, kind):
         heading = Text.assemble((f"{record.distribution} {record.version}".strip(), "bold"), "  ")
         console.print(heading.append(record.status, style=STYLES[record.status]))
         console.print(Text(f"  module: {record.module}"))

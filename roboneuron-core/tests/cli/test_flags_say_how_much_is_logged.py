@@ -1,62 +1,14 @@
-"""`call` takes tools with and without arguments; -v and -q say how much is logged, wherever they stand."""
+"""-v and -q say how much is logged, wherever they stand."""
 
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 import pytest
 
 from roboneuron.cli import terminal
 from roboneuron.cli.commands import COMMANDS, load_command
-
-
-def run(state: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "roboneuron.cli.main", *words],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={"PATH": "/usr/bin:/bin", "XDG_STATE_HOME": str(state), "HOME": str(state)},
-        stdin=subprocess.DEVNULL,
-    )
-
-
-def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
-    done = run(tmp_path, "call", "get_status", "--then", "list_robots", "--then", "list_interfaces", '{"package": "x"}')
-    assert '"robots"' in done.stdout
-    assert done.stdout.count("\n}\n") >= 2
-    assert "ending" not in done.stderr  # nothing was started: nothing to say
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (("--then", "a", "{}", "c"), "--then takes a tool and its arguments, got 'a {} c'."),
-        (("--keep", "--url", "http://127.0.0.1:9/mcp"), "--keep is for a server that `call` starts"),
-        (("--then", "a", "{"), "are not JSON"),
-    ],
-)
-def test_calls_that_make_no_sense_are_refused_before_a_server_starts(
-    words: tuple[str, ...], reason: str, tmp_path: Path
-) -> None:
-    done = run(tmp_path, "call", "get_status", *words)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert reason in line
-    assert not (tmp_path / "roboneuron" / "log").exists()
-
-
-@pytest.mark.parametrize(("flag", "is_logged"), [((), False), (("-vv",), True)])
-def test_the_log_of_a_server_of_our_own_is_shown_on_demand(
-    flag: tuple[str, ...], is_logged: bool, tmp_path: Path
-) -> None:
-    for words in (("call", "get_status", *flag), (*flag, "call", "get_status")):
-        assert ("serves MCP on stdio" in run(tmp_path, *words).stderr) is is_logged
 
 
 @pytest.mark.parametrize(
@@ -84,7 +36,7 @@ def test_every_command_takes_v_and_q(name: str) -> None:
 
 def test_subcommands_take_them_too() -> None:
     parser = ArgumentParser()
-    load_command("config").configure(parser)
+    parser.add_subparsers().add_parser("show")
     terminal.add_verbosity(parser)
     assert parser.parse_args(["-v", "show"]).verbose == 1
     assert parser.parse_args(["show", "-v"]).verbose == 1

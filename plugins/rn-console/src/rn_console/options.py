@@ -1,4 +1,4 @@
-"""Options of a pydantic model as text: for `roboneuron config reference` and `roboneuron plugins show`."""
+"""Options of a pydantic model as text: for `roboneuron config show`, `config reference` and `plugins show`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from roboneuron.plugins.restricted import is_restricted
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+UNSET = "none"
+"""Default of an option that has no value unless one is given."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Option:
@@ -21,7 +24,7 @@ class Option:
     Attributes:
         key: as in the configuration.
         type: with its bounds or choices.
-        default: as in TOML; None when it must be given.
+        default: as in TOML, or UNSET; None when it must be given.
         meaning: its description.
         restricted: only the configuration may set it.
     """
@@ -65,16 +68,19 @@ def _tables(place: str, annotation: object) -> Iterator[tuple[str, type[BaseMode
 
 
 def _literal(value: object) -> str:
-    """As TOML writes it; JSON is near enough for all that options hold but None."""
-    return "none" if value is None else json.dumps(value, default=_plain, ensure_ascii=False)
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, PurePath):
-        return str(value)
+    """As TOML writes it; in a table what is unset is left out."""
+    if value is None:
+        return UNSET
+    if isinstance(value, bool | int | float):
+        return str(value).lower()
+    if isinstance(value, str | PurePath):
+        return json.dumps(str(value), ensure_ascii=False)
+    if hasattr(value, "model_dump"):
+        value = value.model_dump(mode="json")
     if isinstance(value, Mapping):
-        return dict(value)
-    return value.model_dump(mode="json") if hasattr(value, "model_dump") else list(value)  # type: ignore[call-overload]
+        entries = [f"{json.dumps(str(key))} = {_literal(item)}" for key, item in value.items() if item is not None]
+        return f"{{ {', '.join(entries)} }}" if entries else "{}"
+    return f"[{', '.join(_literal(item) for item in value)}]"  # type: ignore[attr-defined]
 
 
 def _type(entry: dict[str, object]) -> str:
