@@ -6,8 +6,7 @@ import tomllib
 from pathlib import Path
 
 from rn_console.configuration import feature_text, reference
-from roboneuron.config import default_text, parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import default_text, feature_options, parse_config
 from roboneuron.plugins.discovery import discover
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -15,8 +15,7 @@ from rn_serve_http.tokens import TokenFiles, TokenTable, read_tokens
 from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.cli.serve import configure, with_server
-from roboneuron.config import Config, parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.serving import serve
 
@@ -215,5 +214,5 @@ def test_a_key_where_it_was_is_told_where_it_is(key: str) -> None:
     value = {"tokens": '[{ name = "a", role = "admin", variable = "T" }]', "allowed_hosts": "[]"}.get(key, "1")
     with pytest.raises(ConfigurationError) as caught:
         parse_config(f'[robot]\nname = "none"\n[server]\n{key} = {value}\n')
-    words = f"roboneuron.toml: 'server.{key}' is now 'http.{key}': write it under [http]."
+    words = f"roboneuron.toml: the key 'server.{key}' has moved: write {key} under [http]."
     assert str(caught.value).startswith(words)

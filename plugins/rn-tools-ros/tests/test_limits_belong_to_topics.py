@@ -13,8 +13,7 @@ from rn_tools_ros.exposing import Admin
 from rn_tools_ros.exposure import Exposure, exposure
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_tools_ros.plugin import FEATURE
-from roboneuron.config import parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
 from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest

@@ -16,8 +16,7 @@ from rn_tools_ros.naming import PATTERNS, to_label, tool_name
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_tools_ros.plugin import FEATURE
 from rn_tools_ros.schemas import decoded_schema
-from roboneuron.config import parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.interfaces import list_interfaces, load_message
 from roboneuron.server.app import Application

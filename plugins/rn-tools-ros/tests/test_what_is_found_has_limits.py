@@ -13,8 +13,7 @@ from rn_testing.fakes import gantry_profile
 from rn_tools_ros.discovered_limits import check_patterns, limit
 from rn_tools_ros.discovery import LiveGraph
 from rn_tools_ros.plugin import FEATURE
-from roboneuron.config import parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.interfaces import load_interface

@@ -6,8 +6,7 @@ import pytest
 
 from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
-from roboneuron.config import parse_config
-from roboneuron.config.features import feature_options
+from roboneuron.config import feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.plugins.record import Offer, Status
@@ -94,5 +93,5 @@ def test_the_section_of_a_package_that_is_absent_names_the_package():
 
 
 def test_a_key_that_moved_to_a_feature_is_told_where():
-    with pytest.raises(ConfigurationError, match=r"'server.port' is now 'http.port': write it under \[http\]"):
+    with pytest.raises(ConfigurationError, match=r"'server.port' has moved: write port under \[http\]"):
         parse_config(f"{ROBOT}[server]\nport = 1\n")

@@ -49,7 +49,7 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     Raises:
         ConfigurationError: nothing serves the transport, or it does not take that address.
     """
-    from roboneuron.config.features import STDIO, check_sections, transport_feature
+    from roboneuron.config import STDIO, check_sections, transport_feature
     from roboneuron.errors import ConfigurationError
     from roboneuron.plugins.discovery import discover
 

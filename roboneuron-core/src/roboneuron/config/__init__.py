@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from roboneuron.config.limits import LimitsConfig, ZoneConfig
-from roboneuron.config.modules import (
+from roboneuron.config.models import (
+    Config,
     ControlConfig,
     InferenceConfig,
+    LimitsConfig,
     PerceptionConfig,
     RobotConfig,
+    ServerConfig,
     SupervisorConfig,
+    ZoneConfig,
 )
-from roboneuron.config.reading import EMBEDDED_DEFAULT, default_text, load_config, parse_config
+from roboneuron.config.reading import (
+    EMBEDDED_DEFAULT,
+    STDIO,
+    check_sections,
+    default_text,
+    feature_options,
+    load_config,
+    parse_config,
+    transport_feature,
+)
 from roboneuron.config.section import Reaction
-from roboneuron.config.serving import ServerConfig
-from roboneuron.config.whole import Config
 
 __all__ = [
     "EMBEDDED_DEFAULT",
+    "STDIO",
     "Config",
     "ControlConfig",
     "InferenceConfig",
@@ -27,7 +38,10 @@ __all__ = [
     "ServerConfig",
     "SupervisorConfig",
     "ZoneConfig",
+    "check_sections",
     "default_text",
+    "feature_options",
     "load_config",
     "parse_config",
+    "transport_feature",
 ]

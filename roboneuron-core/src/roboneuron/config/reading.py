@@ -1,22 +1,34 @@
-"""Text to `Config`; an unknown key is an error with a suggestion."""
+"""Text to `Config`: what is wrong is named with the file, the key and the nearest valid key.
+
+Sections that core does not know belong to features; they are checked against the models of what is installed.
+"""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from roboneuron.config.explaining import explain
-from roboneuron.config.features import KEYS, check_sections
-from roboneuron.config.whole import Config
+from roboneuron.config.models import Config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.packages import install_command, package_of
+from roboneuron.plugins.record import Status
 from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
 """How messages call the configuration that is used when the user gives none."""
+STDIO = "stdio"
+"""The transport of core."""
+KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
+"""Top-level keys of core."""
 
 
 def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Registry | None = None) -> Config:
@@ -39,7 +51,7 @@ def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Regist
     try:
         config = Config.model_validate(own)
     except ValidationError as error:
-        raise explain(error, Config, source) from error
+        raise _explain(error, Config, source) from error
     if others:
         config = config.model_copy(update={"sections": others})
         check_sections(config, registry or discover(config.disabled_plugins), source)
@@ -64,3 +76,126 @@ def load_config(path: Path | None = None, registry: Registry | None = None) -> C
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path} cannot be read: {error}.") from error
     return parse_config(text, source=str(path), registry=registry)
+
+
+def check_sections(config: Config, registry: Registry, source: str = "roboneuron.toml") -> None:
+    """Check the sections of all features, and that there is a feature for each.
+
+    Raises:
+        ConfigurationError: a key that nothing installed knows, a value that is not valid, or a section of a feature
+            that cannot be used; says why.
+    """
+    owners = {key: offer for offer in registry.offers("feature") for key in _spec(offer.spec).keys}
+    for key in config.sections:
+        if key not in owners:
+            package = package_of("feature", key.replace("_", "-"))
+            if package is not None:
+                raise ConfigurationError(
+                    f"{source}: the section {key!r} belongs to a feature of {package}, which is not installed.",
+                    hint=f"Run: {install_command(package)}.",
+                )
+            error = _unknown_key(source, key, {*KEYS, *owners})
+            raise ConfigurationError(
+                error, hint="If it belongs to a feature, that is not installed: see `roboneuron plugins list`."
+            )
+        offer = owners[key]
+        if offer.status is not Status.READY:
+            raise ConfigurationError(
+                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of {offer.distribution}, "
+                f"which cannot be used ({offer.status}): {offer.reason}"
+            )
+    for spec in {owners[key].spec.name: _spec(owners[key].spec) for key in config.sections}.values():
+        feature_options(spec, config, source)
+
+
+def feature_options(spec: FeatureSpec, config: Config, source: str = "roboneuron.toml") -> BaseModel | None:
+    """The options of a feature: its sections of the configuration, or their defaults.
+
+    Raises:
+        ConfigurationError: a key or value is not valid.
+        PluginError, MissingDependencyError: the model cannot be loaded.
+    """
+    model = load_options_model(spec)
+    if model is None:
+        return None
+    section = "" if spec.sections else spec.keys[0]
+    raw: Any
+    if spec.sections:
+        raw = {key: config.sections[key] for key in spec.sections if key in config.sections}
+    else:
+        raw = config.sections.get(section, {})
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        raise _explain(error, model, source, section) from error
+
+
+def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
+    """The feature that serves a transport.
+
+    Raises:
+        ConfigurationError: there is none; says which package brings it.
+    """
+    served = {name: spec for spec in registry.specs("feature").values() for name in spec.transports}
+    if transport in served:
+        return served[transport]
+    try:
+        registry.get("feature", transport)  # by convention it is called as the transport: says why it is not there
+    except ConfigurationError as error:
+        raise ConfigurationError(f"transport = {transport!r}: {error.message}", hint=error.hint) from error
+    choices = ", ".join([STDIO, *served])
+    raise ConfigurationError(f"transport = {transport!r}: nothing serves it; choose one of: {choices}.")
+
+
+def _spec(spec: object) -> FeatureSpec:
+    assert isinstance(spec, FeatureSpec)
+    return spec
+
+
+def _explain(error: ValidationError, root: type[BaseModel], source: str, section: str = "") -> ConfigurationError:
+    """The error for people.
+
+    Args:
+        error: raised by the model `root`.
+        root: the model that was validated.
+        source: file name.
+        section: where that model stands in the file; empty for the whole.
+    """
+    lines = []
+    for item in error.errors(include_url=False):
+        key = ".".join([*([section] if section else []), *(str(part) for part in item["loc"])])
+        if item["type"] == "extra_forbidden":
+            lines.append(_unknown_key(source, key, _valid_keys(root, item["loc"])))
+        elif item["type"] == "missing":
+            lines.append(f"{source}: {key!r} is missing.")
+        else:
+            lines.append(f"{source}: {key} = {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}.")
+    return ConfigurationError("\n".join(lines))
+
+
+def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
+    """The sentence for a key that nothing knows."""
+    moved = tomllib.loads(files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8"))
+    if key in moved:
+        return f"{source}: the key {key!r} has moved: write {moved[key]}."
+    known = sorted(valid)
+    near = get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
+    nearest = f" Did you mean {near[0]!r}?" if near else f" Valid keys: {', '.join(known)}."
+    return f"{source}: unknown key {key!r}.{nearest}"
+
+
+def _valid_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Keys allowed in the section that `location` (of an error) points into."""
+    model: Any = root
+    for part in location[:-1]:
+        if isinstance(part, int):  # an entry of an array of tables
+            continue
+        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
+        if field is None:
+            return []
+        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        candidates += [a for c in candidates for a in getattr(c, "__args__", ())]
+        model = next((c for c in candidates if hasattr(c, "model_fields")), None)
+        if model is None:
+            return []
+    return sorted(name for name, field in model.model_fields.items() if not field.exclude)

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from roboneuron.config import Config
-from roboneuron.config.features import STDIO, feature_options, transport_feature
+from roboneuron.config import STDIO, Config, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry

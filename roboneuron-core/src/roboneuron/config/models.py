@@ -1,0 +1,219 @@
+"""roboneuron.toml as frozen models: the sections of core, and the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from roboneuron.config.section import (
+    CameraName,
+    Name,
+    Namespace,
+    Point,
+    Reaction,
+    Seconds,
+    Section,
+    Share,
+)
+
+CHECKPOINT_START_S = 900.0
+"""15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
+
+
+class RobotConfig(Section):
+    """`[robot]`: which robot, moved how."""
+
+    name: Name = Field(description="a robot offered by an installed plugin")
+    driver: Name = Field(default="simulated", description="one of the robot's drivers")
+    namespace: Namespace | None = Field(default=None, description="ROS namespace; the robot's name when not given")
+    command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
+    server_timeout_s: Seconds = Field(default=2.0, description="the driver holds when the server is frozen this long")
+    state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
+    start_timeout_s: Seconds | None = Field(
+        default=None, description="longest start, loading included; as in [supervisor] when not given"
+    )
+    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+
+
+class PerceptionConfig(Section):
+    """`[perception]`: where images come from."""
+
+    source: Name = Field(description="a perception source offered by an installed plugin")
+    cameras: tuple[CameraName, ...] = Field(
+        default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
+    )
+    start_timeout_s: Seconds | None = Field(
+        default=None, description="longest start, loading included; as in [supervisor] when not given"
+    )
+    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+
+
+class InferenceConfig(Section):
+    """`[inference]`: which policy runs, and how."""
+
+    backend: Name = Field(description="a backend offered by an installed plugin")
+    checkpoint: str | None = Field(default=None, description="directory of the model's files")
+    runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
+    acceleration: Name | None = Field(default=None, description="acceleration preset; none when not given")
+    instruction: str = Field(default="", description="what to do; can be set later")
+    cameras: dict[str, CameraName] = Field(default_factory=dict, description="camera name by role of the backend")
+    max_image_age_s: Seconds = Field(default=0.5, description="older images, joint states and poses are never acted on")
+    switch_max_difference: Annotated[float, Field(gt=0)] = Field(
+        default=0.25, description="a warm switch to actions that differ more [m or rad] is refused"
+    )
+    start_timeout_s: Seconds | None = Field(
+        default=None,
+        description="longest start, loading included; when not given 900 with a checkpoint, else as in [supervisor]",
+    )
+    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+
+
+class ControlConfig(Section):
+    """`[control]`: how actions become joint commands."""
+
+    controller: Name = Field(description="a controller offered by an installed plugin")
+    action_timeout_s: Seconds = Field(default=0.5, description="older actions are dropped; then the arm holds")
+    state_timeout_s: Seconds = Field(default=0.25, description="older joint states stop the arm")
+    server_timeout_s: Seconds = Field(default=2.0, description="the arm holds when the server is frozen this long")
+    command: Literal["joint_trajectory", "joint_state"] = Field(
+        default="joint_trajectory", description="message type of the command topic"
+    )
+    switch_max_difference: Annotated[float, Field(gt=0)] = Field(
+        default=0.05, description="a warm switch to commands or TCP poses that differ more [rad or m] is refused"
+    )
+    start_timeout_s: Seconds | None = Field(
+        default=None, description="longest start, loading included; as in [supervisor] when not given"
+    )
+    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+
+
+class SupervisorConfig(Section):
+    """`[supervisor]`: bounds on starting and stopping processes."""
+
+    start_timeout_s: Seconds = Field(default=60.0, description="spawn until proof of readiness (loading included)")
+    stop_timeout_s: Seconds = Field(default=5.0, description="deactivate and SIGTERM before SIGKILL")
+    state_directory: str | None = Field(default=None, description="logs, latch and audit; XDG state when not given")
+
+
+class ZoneConfig(Section):
+    """One entry of `limits.zones` or `limits.obstacles`."""
+
+    name: str = Field(min_length=1, max_length=64, description="named in reports")
+    lower_m: Point = Field(description="corner [x, y, z] in the base frame")
+    upper_m: Point = Field(description="opposite corner")
+
+
+class LimitsConfig(Section):
+    """`[limits]`: what may be sent to the arm, by actions or by joint commands; see docs/safety.md."""
+
+    velocity_fraction: Share = Field(default=1.0, description="share of the joints' velocity limits in use")
+    acceleration_fraction: Share = Field(default=1.0, description="share of their acceleration limits in use")
+    max_step_m: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.1, description="farthest the TCP may go per action"
+    )
+    max_step_rad: Annotated[float, Field(gt=0, le=3)] = Field(
+        default=0.5, description="farthest it may turn per action"
+    )
+    max_speed_m_s: Annotated[float, Field(gt=0, le=3)] = Field(default=0.5, description="fastest motion of the TCP")
+    max_turn_rad_s: Annotated[float, Field(gt=0, le=10)] = Field(default=2.5, description="fastest turn of the TCP")
+    workspace_lower_m: Point | None = Field(
+        default=None, description="corner of the TCP's box in the base frame; the robot's own when not given"
+    )
+    workspace_upper_m: Point | None = Field(default=None, description="opposite corner")
+    min_height_m: Annotated[float, Field(ge=-100, le=100)] | None = Field(
+        default=None, description="lowest z of the TCP in the base frame"
+    )
+    zones: tuple[ZoneConfig, ...] = Field(
+        default=(),
+        strict=False,
+        description="boxes that the TCP must not enter: tables of `name`, `lower_m`, `upper_m`",
+    )
+    min_singular_value: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.02, description="distance from a singularity: smallest singular value of the TCP's Jacobian"
+    )
+    collision: bool = Field(default=True, description="keep links away from each other and from obstacles")
+    min_distance_m: Annotated[float, Field(ge=0, le=0.2)] | None = Field(
+        default=None, description="least distance between links, and to obstacles; the robot's own when not given"
+    )
+    obstacles: tuple[ZoneConfig, ...] | None = Field(
+        default=None,
+        strict=False,
+        description="boxes that no link may touch, as `zones`; the robot's own (its table) when not given",
+    )
+    on_position: Reaction = Field(default="hold", description="a joint's position limit")
+    on_velocity: Reaction = Field(default="scale", description="a joint's velocity limit")
+    on_acceleration: Reaction = Field(default="scale", description="a joint's acceleration limit")
+    on_step: Reaction = Field(default="hold", description="max_step_m, max_step_rad")
+    on_speed: Reaction = Field(default="scale", description="max_speed_m_s, max_turn_rad_s")
+    on_workspace: Reaction = Field(default="hold", description="the workspace box")
+    on_zone: Reaction = Field(default="hold", description="zones")
+    on_height: Reaction = Field(default="hold", description="min_height_m")
+    on_singularity: Reaction = Field(default="hold", description="min_singular_value")
+    on_collision: Reaction = Field(default="hold", description="min_distance_m between links, and to obstacles")
+
+
+class ServerConfig(Section):
+    """`[server]`: how agents connect."""
+
+    name: str = Field(default="roboneuron", description="server name that MCP clients see")
+    transport: Name = Field(
+        default="stdio", description="`stdio`, or what an installed feature serves: `http`, at /mcp"
+    )
+    max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
+        default=64, description="most tool calls at once of each role; stops are always taken"
+    )
+    dry_run: bool = Field(default=False, description="direct calls answer what would happen, nothing is sent")
+    max_duration_s: Seconds = Field(default=120.0, description="longest direct motion, sequence or goal")
+    reset_emergency_stop: Literal["person", "client"] = Field(
+        default="person",
+        description="who releases the emergency stop: a person, in a terminal or asked by a client; or any admin",
+    )
+    checkpoint_roots: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="folders whose checkpoints agents may name, besides those that this configuration names",
+    )
+    agent_options: tuple[Annotated[str, Field(pattern=r"^[a-z0-9-]+(\.[^.]+)+$")], ...] = Field(
+        default=(),
+        strict=False,
+        description='options for the configuration only that an admin may set all the same, such as "pi0-remote.url"',
+    )
+
+
+class Config(Section):
+    """A whole roboneuron.toml."""
+
+    robot: RobotConfig
+    perception: PerceptionConfig | None = None
+    inference: InferenceConfig | None = None
+    control: ControlConfig | None = None
+    limits: LimitsConfig = LimitsConfig()
+    supervisor: SupervisorConfig = SupervisorConfig()
+    server: ServerConfig = ServerConfig()
+    disabled_plugins: tuple[str, ...] = Field(default=(), strict=False, description="distributions not to load")
+    features: tuple[str, ...] = Field(
+        default=(), strict=False, description="features without which the server does not start"
+    )
+    plugins: dict[str, dict[str, Any]] = Field(default_factory=dict, description="options by plugin name")
+    sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    """Sections of features by top-level key, as in the file; modules are not told them."""
+
+    @property
+    def namespace(self) -> str:
+        """ROS namespace of the robot, without a leading slash."""
+        return self.robot.namespace or self.robot.name.replace("-", "_")
+
+    def options(self, name: str) -> Mapping[str, object]:
+        """Options of the backend, source, controller, driver ... called `name`; empty when the user set none."""
+        return self.plugins.get(name, {})
+
+    def start_timeout_s(self, kind: str) -> float:
+        """Longest start of the module called `kind` [s]."""
+        section = getattr(self, kind)
+        if section is not None and section.start_timeout_s is not None:
+            return float(section.start_timeout_s)
+        if kind == "inference" and self.inference is not None and self.inference.checkpoint is not None:
+            return max(CHECKPOINT_START_S, self.supervisor.start_timeout_s)
+        return self.supervisor.start_timeout_s
