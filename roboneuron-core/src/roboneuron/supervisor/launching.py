@@ -22,7 +22,6 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
 from roboneuron.supervisor.health import StatusBoard
 from roboneuron.supervisor.lifecycle import LifecycleClient
-from roboneuron.supervisor.logs import run_directory
 from roboneuron.supervisor.periodic import Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessObservers, end_processes, spawn
 from roboneuron.supervisor.slot import Claim, Phase, Slot
@@ -50,7 +49,7 @@ class Launcher:
         processes: all that are in slots.
 
     Attributes:
-        log_directory: one file for each module.
+        log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
         observers, secret_variables: as `Supervisor`.
         board: what the modules report.
         connection: the server's node.
@@ -64,7 +63,7 @@ class Launcher:
         on_change: Callable[[ModuleKind], object],
         processes: Callable[[], Iterable[ModuleProcess]],
     ) -> None:
-        self.log_directory = run_directory(state_directory)
+        self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self.observers = ProcessObservers()
         self.secret_variables: set[str] = set()
         self.board = StatusBoard(changes)
@@ -164,14 +163,14 @@ class Launcher:
         """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
         slot, process, settings = claim
         limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
-        client = LifecycleClient(
-            self.connection.link(),
-            f"/{settings.status_name}",
-            self._changes,
-            lambda: slot.check_alive("being deactivated"),
-            process.announce,
-        )
         try:
+            client = LifecycleClient(
+                self.connection.link(),
+                f"/{settings.status_name}",
+                self._changes,
+                lambda: slot.check_alive("being deactivated"),
+                process.announce,
+            )
             if client.transition("deactivate", limit_s) is None:
                 log.warning("%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s)
         except RoboNeuronError as error:

@@ -13,8 +13,8 @@ _JOIN_S = 2.0
 class Periodic:
     """Calls `step` at once and then every `period_s` [s], on a thread of its own, from `start` to `close`.
 
-    A step that raises is logged, and repeated like any other. `start` and `close` may be called from any thread, also
-    from the step itself.
+    A step that raises is repeated like any other, and logged unless it failed in the same way before. `start` and
+    `close` may be called from any thread, also from the step itself.
     """
 
     def __init__(self, name: str, period_s: float, step: Callable[[], object]) -> None:
@@ -36,9 +36,12 @@ class Periodic:
             self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
+        told = ""
         while not self._end.is_set():
             try:
                 self._step()
-            except Exception:  # one failing look must not end a watch that safety depends on
-                log.exception("A step of %r failed.", self._thread.name)
+            except Exception as error:  # one failing look must not end a watch that safety depends on
+                if repr(error) != told:
+                    told = repr(error)
+                    log.exception("A step of %r failed.", self._thread.name)
             self._end.wait(self._period_s)

@@ -22,11 +22,11 @@ from typing import Protocol
 from roboneuron.errors import NotReadyError
 from roboneuron.log_files import escaped, make_log_directory, opener
 from roboneuron.supervisor.changes import Lasting
-from roboneuron.supervisor.logs import read_tail
 
 log = logging.getLogger(__name__)
-LAST_LINES = 15
+_LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
+_TAIL_BYTES = 64 * 1024
 KILL_S = 5.0
 """After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
 _FROZEN_S = 0.3
@@ -68,6 +68,22 @@ class ProcessObservers:
                 log.exception("An observer of processes failed.")
 
 
+def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
+    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there is no such file."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            start = max(offset, size - _TAIL_BYTES)
+            file.seek(start)
+            text = file.read().decode("utf-8", errors="replace")
+    except FileNotFoundError:
+        return ()
+    found = text.splitlines()
+    if start > offset and len(found) > 1:
+        found = found[1:]
+    return tuple(found[-lines:])
+
+
 class ModuleProcess:
     """A running child and, later, how it ended. Made by `spawn`; every method may be called from any thread."""
 
@@ -99,9 +115,9 @@ class ModuleProcess:
             state = ""
         return self._frozen.held_s(state in ("T", "t")) > _FROZEN_S
 
-    def last_lines(self, lines: int = LAST_LINES) -> tuple[str, ...]:
+    def last_lines(self) -> tuple[str, ...]:
         """The end of what this process has written to its log."""
-        return read_tail(self.log_path, lines=lines, offset=self._log_offset)
+        return read_tail(self.log_path, lines=_LAST_LINES, offset=self._log_offset)
 
     def note(self, line: str) -> None:
         """Add a line to its log, so that it stands among its last ones."""
