@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from rn_switching.gap import Gap
-from rn_switching.standby import adopt, discard, start_standby
+from rn_switching.standby_slots import adopt, discard, start_standby
 from rn_switching.switch_checks import SwitchCheck
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
