@@ -15,8 +15,7 @@ from rn_ops.records import parse_entries
 from rn_ops.server_log import ServerLog
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.log_files import PlainFormatter, escaped
-from roboneuron.supervisor.observing import ProcessObservers
-from roboneuron.supervisor.process import Spawner
+from roboneuron.supervisor.process import ProcessObservers, spawn
 
 FORGED = "x\n2026-01-01 00:00:00,000 INFO roboneuron.gate: allowed"
 
@@ -38,12 +37,10 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     log.open()
     logging.getLogger("t").warning("x")
     log.close()
-    spawner = Spawner(ProcessObservers())
-    process = spawner.spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log")
+    process = spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log", ProcessObservers())
     process.reap(lambda _: None)
     assert process.wait(20)
     process.note("said")
-    spawner.close()
     incident = Incidents(state / "incidents").record("robot", "silent", {})
     assert incident is not None
     audit = AuditLog(state / "audit.jsonl", lambda: 1)

@@ -110,7 +110,7 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
 
     def kill_new(stage: str) -> None:
         if stage == "inference: changing over":
-            (new,) = [slot.process for slot in loop.supervisor.beside("inference")]
+            (new,) = [slot.process for slot in loop.supervisor.slots["inference"][1:]]
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 
@@ -127,7 +127,7 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
     assert {action.tag for action in actions} == {1}
     times = [action.at_ns for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5e9
-    assert loop.supervisor.beside("inference") == []
+    assert loop.supervisor.slots["inference"][1:] == []
 
 
 SOON_S = 15.0
@@ -150,7 +150,7 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
 
     def freeze(told: str) -> None:
         if told == STAGES[stage]:
-            slot = supervisor.slot("inference") if which == "old" else supervisor.beside("inference")[0]
+            slot = supervisor.slot("inference") if which == "old" else supervisor.slots["inference"][1]
             assert slot.process is not None
             frozen.append(slot.process.pid)
             at_s.append(time.monotonic())
@@ -165,7 +165,7 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
     witness.forget()
     wait_until(lambda: len(witness.actions()) > 3, 10.0, "the old backend acts again")
     assert {action.tag for action in witness.more_actions()} == {1}
-    assert supervisor.beside("inference") == []
+    assert supervisor.slots["inference"][1:] == []
 
 
 def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[Switching, Witness], tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], sw
     assert before is not None
     assert after.process is before
     assert after.phase == "running"
-    assert loop.supervisor.beside(kind) == []
+    assert loop.supervisor.slots[kind][1:] == []
     return str(caught.value)
 
 
@@ -114,7 +114,7 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[Switching, W
 
     def kill(stage: str) -> None:
         if stage == "perception: changing over":
-            (new,) = [slot.process for slot in loop.supervisor.beside("perception")]
+            (new,) = [slot.process for slot in loop.supervisor.slots["perception"][1:]]
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 

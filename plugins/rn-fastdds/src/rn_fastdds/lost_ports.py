@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from rn_fastdds.dead_ports import release_dead_locks
 from rn_fastdds.port_record import FLAGS, IS_OK, find_record
 from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
+from roboneuron.supervisor.periodic import Periodic
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5
@@ -113,33 +113,22 @@ def _inode(port: int) -> int | None:
         return None
 
 
-class PortWatch:
+class PortWatch(Periodic):
     """Looks after this process's ports on a thread of its own, from `start` to `close`."""
 
     def __init__(self) -> None:
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="lost-ports", daemon=True)
+        super().__init__("lost-ports", LOOK_S, self._look)
+        self._ports = LostPorts()
 
-    def start(self) -> None:
-        """Begin; may be called once."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """End, after the look that may be under way."""
-        self._end.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _run(self) -> None:
-        ports = LostPorts()
-        while not self._end.wait(LOOK_S):
-            try:
-                given_back = ports.look()
-            except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
-                log.warning("Shared-memory ports are not looked after: %s", error)
-                return
-            for port in given_back:
-                log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
+    def _look(self) -> None:
+        try:
+            given_back = self._ports.look()
+        except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
+            log.warning("Shared-memory ports are not looked after: %s", error)
+            self.close()
+            return
+        for port in given_back:
+            log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
 
 
 def watch_ports() -> None:

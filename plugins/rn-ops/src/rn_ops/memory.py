@@ -11,6 +11,7 @@ from weakref import WeakSet
 
 from rn_ops.options import MemoryOptions
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.supervisor.periodic import Periodic
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
@@ -35,36 +36,23 @@ def own_memory_mb(pid: int) -> float | None:
     return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-class MemoryWatch:
+class MemoryWatch(Periodic):
     """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at starting ones too.
 
     Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
     """
 
     def __init__(self, supervisor: Supervisor, limits: MemoryOptions, record: Record) -> None:
+        super().__init__("memory", _LOOK_S, self.look)
         self._supervisor = supervisor
         self._limits = limits
         self._record = record
         self._ended: WeakSet[ModuleProcess] = WeakSet()
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Begin; does nothing the second time."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="memory", daemon=True)
-            self._thread.start()
-
-    def close(self) -> None:
-        """End the thread; idempotent."""
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join(2.0)
 
     def look(self) -> None:
         """Compare all modules with their limits."""
         for kind in MODULE_KINDS:
-            for slot in (self._supervisor.slot(kind), *self._supervisor.beside(kind)):
+            for slot in tuple(self._supervisor.slots[kind]):  # the one that works, and one that is to replace it
                 self._check(slot)
 
     def _check(self, slot: Slot) -> None:
@@ -81,10 +69,6 @@ class MemoryWatch:
         process.note(f"supervisor: {slot.kind} is {why}.")
         threading.Thread(target=_end, args=(process,), name=f"end-{slot.kind}", daemon=True).start()
         self._record(slot.kind, why)
-
-    def _run(self) -> None:
-        while not self._stop.wait(_LOOK_S):
-            self.look()
 
 
 def _end(process: ModuleProcess) -> None:

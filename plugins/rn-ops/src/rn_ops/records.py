@@ -13,7 +13,7 @@ from rn_ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, Resource, Result, Tool
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.resources import LOG_LINES, LOG_URI
-from roboneuron.supervisor.logs import read_tail
+from roboneuron.supervisor.process import read_tail
 from roboneuron.supervisor.supervisor import Supervisor
 
 Level = Literal["debug", "info", "warning", "error"]

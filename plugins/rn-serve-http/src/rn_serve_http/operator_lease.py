@@ -14,6 +14,7 @@ from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import OPERATOR
 from roboneuron.server.tool import DerivedTool
+from roboneuron.supervisor.periodic import Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -58,8 +59,7 @@ class OperatorLease:
         self._lock = threading.Lock()
         self._operator = ""
         self._renewed_s = 0.0
-        self._end = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = Periodic("lease", _LOOK_S, self.look)
 
     def admit(self, tool: Tool[Any] | DerivedTool, context: CallContext) -> None:
         """Let a call through, or not. What reads and what stops is for everybody.
@@ -122,15 +122,12 @@ class OperatorLease:
 
     def start(self) -> None:
         """Watch the lease, if there is one."""
-        if self._lease_s is not None and self._thread is None:
-            self._thread = threading.Thread(target=self._watch, name="lease", daemon=True)
+        if self._lease_s is not None:
             self._thread.start()
 
     def close(self) -> None:
         """Stop watching; idempotent."""
-        self._end.set()
-        if self._thread is not None:
-            self._thread.join(2.0)
+        self._thread.close()
 
     def tools(self) -> list[Tool[Any]]:
         """take_over and heartbeat."""
@@ -169,7 +166,3 @@ class OperatorLease:
                 idempotent=True,
             ),
         ]
-
-    def _watch(self) -> None:
-        while not self._end.wait(_LOOK_S):
-            self.look()

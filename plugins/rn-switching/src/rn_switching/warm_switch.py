@@ -8,17 +8,18 @@ module does not act in time afterwards, the old one acts again.
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from rn_switching.gap import Gap
+from rn_switching.standby_slots import adopt, discard, start_standby
 from rn_switching.switch_checks import SwitchCheck
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
 from roboneuron.server.selection import Selection
+from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.parameters import ParameterClient
@@ -62,7 +63,7 @@ class WarmSwitch:
         self._check = check
         self._kind = check.kind
         self._on_stage = on_stage
-        self._late_since_s = math.inf
+        self._late = Lasting()
 
     def run(self) -> Change:
         """Start the new one in shadow, compare, change over, end the old one.
@@ -70,26 +71,19 @@ class WarmSwitch:
         Raises:
             RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
-        selection, supervisor = self._selection, self._supervisor
-        standby = supervisor.start_standby(
-            self._kind,
-            selection.config,
-            python=selection.python,
-            names=selection.names,
-            plan=selection.plan,
-            on_stage=lambda text: self._on_stage(f"new {text}"),
-        )
+        supervisor = self._supervisor
+        standby = start_standby(supervisor, self._selection, lambda text: self._on_stage(f"new {text}"))
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
             self._await_listeners(standby)
             old = self._hand_over(standby)
         except BaseException:
-            supervisor.discard(standby)
+            discard(supervisor, standby)
             raise
         gap = self._measure(old, standby)
         self._on_stage(f"{self._kind}: ending the old {self._check.noun}")
-        supervisor.discard(old)
+        discard(supervisor, old)
         return Change(gap=gap, difference=difference)
 
     def _await_listeners(self, standby: Slot) -> None:
@@ -142,7 +136,7 @@ class WarmSwitch:
                     raise StateError(f"The handover was refused: {refused}.")
             if self._check.is_due():
                 self._await_first_output(standby, due_s, latency_s)
-            return self._supervisor.adopt(standby)
+            return adopt(self._supervisor, standby)
         except BaseException as error:
             self._roll_back(clients, old, error)
             raise
@@ -189,12 +183,9 @@ class WarmSwitch:
         if report is None:
             raise NotReadyError(f"The new {self._check.noun} has fallen silent; nothing was replaced.")
         failure = report.failure()
-        if not isinstance(failure, NotReadyError):  # what is late may still be in time for the next input
-            self._late_since_s = math.inf
-        if failure is not None:
-            self._late_since_s = min(self._late_since_s, time.monotonic())
-            if not isinstance(failure, NotReadyError) or time.monotonic() - self._late_since_s > _LATE_S:
-                raise failure
+        late_s = self._late.held_s(isinstance(failure, NotReadyError))  # it may still be in time for the next input
+        if failure is not None and (not isinstance(failure, NotReadyError) or late_s > _LATE_S):
+            raise failure
         if self._supervisor.slot(self._kind).phase != "running":
             raise StateError(f"The running {self._check.noun} has ended meanwhile; nothing was replaced.")
         return report

@@ -5,10 +5,10 @@ from __future__ import annotations
 import fnmatch
 import logging
 import re
-import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from rn_tools_ros.discovered_limits import limit
+from rn_tools_ros.graph import RosGraph
 from rn_tools_ros.naming import to_label
 from rn_tools_ros.options import DiscoverConfig
 from roboneuron.config import Config
@@ -16,9 +16,9 @@ from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import check_endpoint
 from roboneuron.interfaces import load_interface
-from roboneuron.server.graph import RosGraph
 from roboneuron.server.motion.exposed import Exposed, check_stop
 from roboneuron.server.motion.topic_limits import check_reserved
+from roboneuron.supervisor.periodic import Periodic
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]
@@ -56,34 +56,31 @@ class LiveGraph:
         self._discover = tuple(discover)
         self._graph = graph
         self._on_discovered = on_discovered
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread: Periodic | None = None
         self._seen: Kinds = {}
         self._refused: set[tuple[str, str]] = set()
 
     def start(self) -> None:
         """Begin, if the configuration has a pattern; returns at once."""
         if self._discover and self._thread is None:
-            self._thread = threading.Thread(target=self._watch, name="direct-graph", daemon=True)
+            period_s = min(entry.period_s for entry in self._discover)
+            self._thread = Periodic("direct-graph", period_s, self._look)
             self._thread.start()
 
     def stop(self) -> None:
         """End the thread; idempotent."""
-        self._stop.set()
         if self._thread is not None:
-            self._thread.join(timeout=2.0)
+            self._thread.close()
 
-    def _watch(self) -> None:
-        period_s = min(entry.period_s for entry in self._discover)
-        while not self._stop.is_set():
-            try:
-                live = self._graph.used()
-                if live != self._seen:
-                    self._seen = live
-                    self._on_discovered(self._match(live))
-            except RoboNeuronError as error:
-                log.error("The ROS graph cannot be looked at: %s", error)
-            self._stop.wait(period_s)
+    def _look(self) -> None:
+        try:
+            live = self._graph.used()
+        except RoboNeuronError as error:
+            log.error("The ROS graph cannot be looked at: %s", error)
+            return
+        if live != self._seen:
+            self._seen = live
+            self._on_discovered(self._match(live))
 
     def _match(self, live: Kinds) -> tuple[Exposed, ...]:
         found: dict[tuple[str, str], Exposed] = {}

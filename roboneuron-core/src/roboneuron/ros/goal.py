@@ -112,9 +112,3 @@ class GoalClient:
     def _cancel(self, goal_id: UUID) -> None:
         request = CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id))
         self._link.call(CancelGoal, self._cancel_name, request, lambda: None)
-
-    def close(self) -> None:
-        """Take the client back; idempotent."""
-        client, self._client = self._client, None
-        if client is not None:
-            self._link.on_executor(client.destroy)

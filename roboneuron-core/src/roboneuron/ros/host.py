@@ -6,9 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from rclpy.node import Node
-from rclpy.qos import ReliabilityPolicy
 
-from roboneuron.ros.qos import NEWEST, sensor_subscription
+from roboneuron.ros.qos import NEWEST, are_publishers_reliable, sensor_subscription
 
 M = TypeVar("M")
 _LOOK_AGAIN_S = 0.25
@@ -23,7 +22,7 @@ class _FollowingSubscription:
         self._topic = topic
         self._message_type = message_type
         self._deliver = deliver
-        self._reliable = _are_reliable(node, topic)
+        self._reliable = are_publishers_reliable(node, topic)
         self._subscription = self._create()
         self._timer = node.create_timer(_LOOK_AGAIN_S, self._look)
 
@@ -36,16 +35,11 @@ class _FollowingSubscription:
         return self._node.create_subscription(self._message_type, self._topic, self._deliver, qos)
 
     def _look(self) -> None:
-        reliable = _are_reliable(self._node, self._topic)
+        reliable = are_publishers_reliable(self._node, self._topic)
         if reliable != self._reliable:
             self._reliable = reliable
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._create()
-
-
-def _are_reliable(node: Node, topic: str) -> bool:
-    infos = node.get_publishers_info_by_topic(topic)
-    return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)
 
 
 class NodeTopics:

@@ -13,9 +13,10 @@ from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from roboneuron.errors import InternalError
+from roboneuron.ros.qos import are_publishers_reliable
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -105,7 +106,14 @@ class RosLink:
 
     def on_executor(self, task: Callable[[], T]) -> T:
         """Run `task` on the executor's thread and return its result; not callable from that thread."""
-        return self._on_executor(task)
+        if self._thread is None:
+            raise InternalError("The ROS link is not open.")
+        done = threading.Event()
+        future = self._executor.create_task(task)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(_TASK_TIMEOUT_S):
+            raise InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")
+        return cast("T", future.result())
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None], qos: QoSProfile
@@ -119,12 +127,12 @@ class RosLink:
                 log.exception("The callback of %s failed.", topic)
 
         node = self._node
-        subscription = self._on_executor(lambda: node.create_subscription(message_type, topic, deliver, qos))
-        return lambda: self._on_executor(lambda: node.destroy_subscription(subscription))
+        subscription = self.on_executor(lambda: node.create_subscription(message_type, topic, deliver, qos))
+        return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 
     def advertise(self, message_type: type[M], topic: str, qos: QoSProfile) -> Callable[[M], None]:
         """Return a function that publishes on an absolute `topic`, for as long as the link is open."""
-        publisher = self._on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
+        publisher = self.on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
         return cast("Callable[[M], None]", publisher.publish)
 
     def call(self, service_type: type, name: str, request: object, on_answer: Callable[[], None]) -> Call:
@@ -144,27 +152,15 @@ class RosLink:
 
     def are_publishers_reliable(self, topic: str) -> bool:
         """False when any publisher of the topic is best effort; True without publishers."""
-        infos = self._node.get_publishers_info_by_topic(topic)
-        return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)
+        return are_publishers_reliable(self.node, topic)
 
     def _client(self, service_type: type, name: str) -> Client:
         with self._lock:
             client = self._clients.get((service_type, name))
             if client is None:
-                client = self._on_executor(lambda: self._node.create_client(service_type, name))
+                client = self.on_executor(lambda: self._node.create_client(service_type, name))
                 self._clients[service_type, name] = client
             return client
-
-    def _on_executor(self, task: Callable[[], T]) -> T:
-        """Run `task` on the executor's thread and return its result."""
-        if self._thread is None:
-            raise InternalError("The ROS link is not open.")
-        done = threading.Event()
-        future = self._executor.create_task(task)
-        future.add_done_callback(lambda _: done.set())
-        if not done.wait(_TASK_TIMEOUT_S):
-            raise InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")
-        return cast("T", future.result())
 
     def _spin(self) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 NEWEST = QoSProfile(
@@ -41,3 +42,9 @@ def sensor_subscription(publishers_reliable: bool) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if publishers_reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
     )
+
+
+def are_publishers_reliable(node: Node, topic: str) -> bool:
+    """False when any publisher of the topic is best effort; True without publishers."""
+    infos = node.get_publishers_info_by_topic(topic)
+    return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)

@@ -94,7 +94,7 @@ class NewestMessage:
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._newest: tuple[float, Any] | None = None
-        self._unsubscribe: Any = None
+        self._is_open = False
 
     def newest(self, max_age_s: float) -> Any:
         """The newest message if it is that young, else None; None as long as `open` was not called."""
@@ -104,19 +104,11 @@ class NewestMessage:
     def open(self, timeout_s: float) -> None:
         """Subscribe, and wait for a first message for at most `timeout_s`."""
         with self._lock:
-            if self._unsubscribe is None:
+            if not self._is_open:
                 infos = self._link.node.get_publishers_info_by_topic(self._topic)
-                self._unsubscribe = self._link.subscribe(
-                    self._message_type, self._topic, self._take, requested_qos(infos, 1)
-                )
+                self._link.subscribe(self._message_type, self._topic, self._take, requested_qos(infos, 1))
+                self._is_open = True
         self._arrived.wait(timeout_s)
-
-    def close(self) -> None:
-        """Unsubscribe; idempotent."""
-        with self._lock:
-            unsubscribe, self._unsubscribe = self._unsubscribe, None
-        if unsubscribe is not None:
-            unsubscribe()
 
     def _take(self, message: Any) -> None:
         self._newest = (time.monotonic(), message)

@@ -79,13 +79,6 @@ class TopicWriter:
         with suppress(RCLError, InvalidHandle):
             publisher.publish(message)
 
-    def close(self) -> None:
-        """Take the publisher back; idempotent."""
-        with self._lock:
-            publisher, self._publisher = self._publisher, None
-        if publisher is not None:
-            self._link.on_executor(lambda: self._link.node.destroy_publisher(publisher))
-
     def _subscriptions(self) -> list[Any]:
         found = list(self._link.node.get_subscriptions_info_by_topic(self._topic))
         foreign = [info.topic_type for info in found if info.topic_type != self._type_name]

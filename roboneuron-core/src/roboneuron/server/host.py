@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.errors import StateError
-from roboneuron.server.graph import RosGraph
 
 if TYPE_CHECKING:
     from mcp.server import Server
@@ -34,7 +33,6 @@ class Host:
 
     def __init__(self, application: Application) -> None:
         self._application = application
-        self._graph = RosGraph(lambda: application.supervisor.link)
 
     @property
     def config(self) -> Config:
@@ -60,11 +58,6 @@ class Host:
     def gate(self) -> MotionGate:
         """The gate in front of everything that moves a robot: sends what it allows, and lends no publisher."""
         return self._application.direct.lent
-
-    @property
-    def graph(self) -> RosGraph:
-        """What the ROS graph shows now."""
-        return self._graph
 
     @property
     def audit(self) -> AuditLog:

@@ -11,7 +11,7 @@ from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.observing import status
-from roboneuron.supervisor.logs import read_tail
+from roboneuron.supervisor.process import read_tail
 
 STATUS_URI = "roboneuron://status"
 LOG_URI = "roboneuron://logs/"

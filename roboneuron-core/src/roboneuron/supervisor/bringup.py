@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
-from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Report, StatusBoard
 from roboneuron.supervisor.lifecycle import LifecycleClient
 from roboneuron.supervisor.process import ModuleProcess
@@ -39,7 +39,6 @@ class Bringup:
         settings: ModuleSettings,
         link: RosLink,
         board: StatusBoard,
-        changes: Changes,
         on_stage: Callable[[str], None],
         absent: Callable[[], Sequence[ModuleKind]],
     ) -> None:
@@ -49,11 +48,11 @@ class Bringup:
         self._name = settings.status_name
         self._timeout_s = settings.config.start_timeout_s(settings.kind)
         self._board = board
-        self._changes = changes
+        self._changes = board.changes
         self._on_stage = on_stage
         self._doing = "starting"
         self._since_s = self._told_s = time.monotonic()
-        self._client = LifecycleClient(link, f"/{self._name}", changes, self._check, process.announce)
+        self._client = LifecycleClient(link, f"/{self._name}", board.changes, self._check, process.announce)
 
     def run(self, deadline_s: float) -> None:
         """Configure, activate, wait for readiness.
@@ -66,7 +65,7 @@ class Bringup:
         """
         self._stage("starting")
         self._check_alone()
-        if self._changes.wait_for(self._checked_report, _left(deadline_s)) is None:
+        if self._changes.wait_for(self._report, _left(deadline_s), self._check) is None:
             raise self._too_late("its first status on /diagnostics")
         if not self._client.wait_until_served(_left(deadline_s)):
             raise self._too_late("its lifecycle services")
@@ -78,7 +77,8 @@ class Bringup:
 
     def _transition(self, name: str, deadline_s: float) -> None:
         self._stage(f"{name.removesuffix('e')}ing")
-        before = self._error_count()
+        report = self._report()
+        before = report.error_count if report is not None else 0
         made = self._client.transition(name, _left(deadline_s))
         if made is None:
             raise self._too_late(f"the end of {name!r}")
@@ -98,33 +98,26 @@ class Bringup:
 
     def _await_ready(self, deadline_s: float) -> None:
         self._stage("waiting for the first output")
-        failing_since_s: float | None = None
-        absent_since_s: float | None = None
+        failing, absence = Lasting(), Lasting()
         told = ""
 
         def ready() -> bool:
-            nonlocal failing_since_s, absent_since_s, told
-            report = self._checked_report()
+            nonlocal told
+            self._check()
+            report = self._report()
             if report is None:
                 return False
             if report.ready and report.state == "active":
                 return True
             failure = report.failure()
-            if failure is None or isinstance(failure, NotReadyError):  # what is late may still come
-                failing_since_s = None
-            elif failing_since_s is None:
-                failing_since_s = time.monotonic()
-            elif time.monotonic() - failing_since_s > _PERSISTENT_S:
+            lasts = failure is not None and not isinstance(failure, NotReadyError)  # what is late may still come
+            if failing.held_s(lasts) > _PERSISTENT_S and failure is not None:
                 raise failure
             if report.waiting_for and report.waiting_for != told:
                 told = report.waiting_for
                 self._on_stage(f"{self._slot.kind}: waiting for {told}")
             absent = self._absent() if report.waiting_for else ()
-            if not absent:
-                absent_since_s = None
-            elif absent_since_s is None:
-                absent_since_s = time.monotonic()
-            elif time.monotonic() - absent_since_s > _ABSENT_S:
+            if absence.held_s(bool(absent)) > _ABSENT_S:
                 raise NotReadyError(
                     f"{self._slot.kind} waits for {report.waiting_for}; not running: {', '.join(absent)}.",
                     hint=f"Call {', '.join(f'start_{kind}' for kind in absent)} first.",
@@ -147,7 +140,7 @@ class Bringup:
     def _other(self) -> int | str | None:
         """Process id of another node of our name."""
         holder = claimant(f"/{self._name}")
-        return holder if holder not in (None, self._process.pid) else self._board.stranger(self._name)
+        return holder if holder not in (None, self._process.pid) else self._board.foreign(self._name)
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         report = self._report()
@@ -166,14 +159,6 @@ class Bringup:
 
     def _report(self) -> Report | None:
         return self._board.newest(self._name, self._process.pid)
-
-    def _checked_report(self) -> Report | None:
-        self._check()
-        return self._report()
-
-    def _error_count(self) -> int:
-        report = self._report()
-        return report.error_count if report is not None else 0
 
     def _check(self) -> None:
         self._slot.check_not_cancelled()

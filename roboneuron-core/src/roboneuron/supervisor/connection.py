@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.topics import DIAGNOSTICS
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -65,20 +66,15 @@ class Connection:
     def _open(self, opened: Future[RosLink]) -> None:
         try:
             prepare_environment(self._log_directory / "ros")
+            from diagnostic_msgs.msg import DiagnosticArray  # heavy
+
             from roboneuron.ros.link import RosLink  # heavy
+            from roboneuron.ros.qos import STATUS  # heavy
 
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
-            self._subscribe(link)
+            link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)
         except BaseException as error:  # handed to whoever asks for the link
             opened.set_exception(error)
         else:
             opened.set_result(link)
-
-    def _subscribe(self, link: RosLink) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray  # heavy
-
-        from roboneuron.ros.qos import STATUS
-        from roboneuron.ros.topics import DIAGNOSTICS
-
-        link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)

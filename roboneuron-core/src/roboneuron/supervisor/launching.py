@@ -8,27 +8,32 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from roboneuron.config import ServerConfig
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, RoboNeuronError
 from roboneuron.modules.priority import lower
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.ending import DEACTIVATE_S, deactivate, end_processes
-from roboneuron.supervisor.health import Report, StatusBoard
-from roboneuron.supervisor.observing import ProcessObservers
-from roboneuron.supervisor.process import ModuleProcess, Spawner
-from roboneuron.supervisor.slot import Phase, Slot
+from roboneuron.supervisor.health import StatusBoard
+from roboneuron.supervisor.lifecycle import LifecycleClient
+from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.process import ModuleProcess, ProcessObservers, end_processes, spawn
+from roboneuron.supervisor.slot import Claim, Phase, Slot
 from roboneuron.supervisor.view import Stopped
 
 log = logging.getLogger(__name__)
 Stage = Callable[[str], None]
 Command = Callable[[str | None], Sequence[str]]
+DEACTIVATE_S = 2.0
+_BEAT_S = 0.2
+"""A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody could stop the arm,
+misses these signs of life on stdin; control holds then."""
 
 
 def module_command(python: str | None) -> list[str]:
@@ -40,48 +45,42 @@ class Launcher:
     """Spawns module processes into slots and ends them; usable from any thread.
 
     Args:
-        command: how to start a module under a given interpreter.
-        log_directory: one file for each module.
-        on_spawn: called after each spawn.
-        on_change: called with the kind when a module started, stopped or ended by itself.
-        observers: told of every process.
-        secret_variables: environment variables that modules do not get.
+        state_directory, command, on_change: as `Supervisor`.
+        processes: all that are in slots.
+
+    Attributes:
+        log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
+        observers, secret_variables: as `Supervisor`.
+        board: what the modules report.
+        connection: the server's node.
     """
 
     def __init__(
         self,
-        connection: Connection,
-        board: StatusBoard,
+        state_directory: Path,
         changes: Changes,
-        *,
         command: Command,
-        log_directory: Path,
-        on_spawn: Callable[[], None],
         on_change: Callable[[ModuleKind], object],
-        observers: ProcessObservers,
-        secret_variables: Collection[str],
+        processes: Callable[[], Iterable[ModuleProcess]],
     ) -> None:
-        self._connection = connection
-        self._board = board
+        self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        self.observers = ProcessObservers()
+        self.secret_variables: set[str] = set()
+        self.board = StatusBoard(changes)
+        self.connection = Connection(self.board.receive, self.log_directory)
         self._changes = changes
+        self._processes = processes
         self._command = command
-        self._log_directory = log_directory
-        self._on_spawn = on_spawn
         self._on_change = on_change
-        self._secret_variables = secret_variables
-        self._spawner = Spawner(observers)
+        self._spawner = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
         self._starts = itertools.count(os.getpid())
+        self._heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
 
     def close(self) -> None:
-        """End the spawning thread; what it started gets its death signal."""
-        self._spawner.close()
-
-    def report_of(self, slot: Slot) -> Report | None:
-        """The newest report of the process in a slot."""
-        process, choice = slot.process, slot.choice
-        if process is None or choice is None:
-            return None
-        return self._board.newest(choice.settings.status_name, process.pid)
+        """Leave the ROS graph and end all threads; a process that is still there gets its death signal."""
+        self.connection.close()
+        self._heartbeat.close()
+        self._spawner.shutdown()
 
     def bring_up(
         self,
@@ -95,38 +94,52 @@ class Launcher:
 
         `absent` tells which modules that this one takes inputs from are neither running nor being started.
         """
-        supervision = settings.config.supervisor
         deadline_s = time.monotonic() + settings.config.start_timeout_s(settings.kind)
         phase: Phase = "stopped"
         try:
-            slot.process = self._spawn(slot, settings, python)
-            bringup = Bringup(
-                slot, slot.process, settings, self._connection.link(), self._board, self._changes, on_stage, absent
-            )
-            bringup.run(deadline_s)
+            process = slot.process = self._spawn(slot, settings, python)
+            Bringup(slot, process, settings, self.connection.link(), self.board, on_stage, absent).run(deadline_s)
             phase = "running"
         finally:
             if phase != "running" and slot.process is not None:
-                end_processes([slot.process], supervision.stop_timeout_s)
-                self._board.forget(settings.status_name, slot.process.pid)
+                end_processes([slot.process], settings.config.supervisor.stop_timeout_s)
+                self.board.forget(settings.status_name, slot.process.pid)
             slot.settle(phase)
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot, settings, slot.process)  # it died between its proof and here
             self._on_change(slot.kind)
 
+    def finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
+        """Silence all in order, then end them together."""
+        started_s = time.monotonic()
+        share_s = within_s / (len(claims) + 1)
+        for claim in claims:
+            self._deactivate(claim, min(share_s, DEACTIVATE_S))
+        timeout_s = max((claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0)
+        left_s = max(share_s, started_s + within_s - time.monotonic())
+        killed = end_processes([claim.process for claim in claims], min(timeout_s, left_s))
+        return [self._settle(claim, claim.process.pid in killed, started_s) for claim in claims]
+
+    def _beat(self) -> None:
+        for process in self._processes():
+            process.beat()
+
     def _spawn(self, slot: Slot, settings: ModuleSettings, python: str | None) -> ModuleProcess:
         command = self._command(python)
         # A plugin has no use for the server's section.
         told = settings.model_copy(update={"config": settings.config.model_copy(update={"server": ServerConfig()})})
-        check_state_directory(self._log_directory)
+        check_state_directory(self.log_directory)
         try:
-            process = self._spawner.spawn(
+            spawning = self._spawner.submit(
+                spawn,
                 settings.node_name,
                 command,
-                module_environment(python, next(self._starts), self._secret_variables),
+                module_environment(python, next(self._starts), self.secret_variables),
                 told.model_dump_json(),
-                self._log_directory / f"{settings.node_name}.log",
+                self.log_directory / f"{settings.node_name}.log",
+                self.observers,
             )
+            process = spawning.result()
         except OSError as error:
             raise ConfigurationError(
                 f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
@@ -134,46 +147,48 @@ class Launcher:
             ) from error
         if settings.shadow:
             lower(process.pid)
-        self._on_spawn()
+        self._heartbeat.start()
         log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
-        self._board.watch(settings.status_name, process.pid)
+        self.board.watch(settings.status_name, process.pid)
         process.reap(lambda ended: self._on_exit(slot, settings, ended))
         return process
 
     def _on_exit(self, slot: Slot, settings: ModuleSettings, process: ModuleProcess) -> None:
         if slot.note_exit(process):
             log.error("%s is gone: %s", slot.kind, slot.explain_exit())
-            self._board.forget(settings.status_name, process.pid)
+            self.board.forget(settings.status_name, process.pid)
             self._on_change(slot.kind)
 
-    def finish(self, claimed: Sequence[tuple[Slot, ModuleProcess]], within_s: float = math.inf) -> list[Stopped]:
-        """Silence all in order, then end them together."""
-        started_s = time.monotonic()
-        share_s = within_s / (len(claimed) + 1)
-        choices = [slot.choice for slot, _ in claimed]
-        timeout_s = 0.0
-        for (slot, _), choice in zip(claimed, choices, strict=True):
-            if choice is not None:
-                timeout_s = max(timeout_s, choice.settings.config.supervisor.stop_timeout_s)
-                deactivate(self._connection.link(), self._changes, slot, choice.settings, min(share_s, DEACTIVATE_S))
-        left_s = max(share_s, started_s + within_s - time.monotonic())
-        killed = end_processes([process for _, process in claimed], min(timeout_s, left_s))
-        results = []
-        for (slot, process), choice in zip(claimed, choices, strict=True):
-            report = self.report_of(slot)
-            if choice is not None:
-                self._board.forget(choice.settings.status_name, process.pid)
-            slot.settle("stopped")
-            log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
-            results.append(
-                Stopped(
-                    kind=slot.kind,
-                    pid=process.pid,
-                    exit_code=process.exit_code if process.exit_code is not None else -9,
-                    killed=process.pid in killed,
-                    took_s=time.monotonic() - started_s,
-                    report=report,
-                )
+    def _deactivate(self, claim: Claim, most_s: float) -> None:
+        """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
+        slot, process, settings = claim
+        limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
+        try:
+            client = LifecycleClient(
+                self.connection.link(),
+                f"/{settings.status_name}",
+                self._changes,
+                lambda: slot.check_alive("being deactivated"),
+                process.announce,
             )
-            self._on_change(slot.kind)
-        return results
+            if client.transition("deactivate", limit_s) is None:
+                log.warning("%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s)
+        except RoboNeuronError as error:
+            log.warning("Deactivating %s: %s", settings.node_name, error)
+
+    def _settle(self, claim: Claim, killed: bool, started_s: float) -> Stopped:
+        slot, process, settings = claim
+        report = self.board.newest(settings.status_name, process.pid)
+        self.board.forget(settings.status_name, process.pid)
+        slot.settle("stopped")
+        log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
+        stopped = Stopped(
+            kind=slot.kind,
+            pid=process.pid,
+            exit_code=process.exit_code if process.exit_code is not None else -9,
+            killed=killed,
+            took_s=time.monotonic() - started_s,
+            report=report,
+        )
+        self._on_change(slot.kind)
+        return stopped

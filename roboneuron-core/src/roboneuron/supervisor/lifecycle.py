@@ -51,14 +51,13 @@ class LifecycleClient:
         deadline_s = time.monotonic() + timeout_s
 
         def served() -> bool:
-            self._check()
             # In this order: discovery keeps it, so a node that answers `get_state` can also answer `change_state`.
             return self._link.is_service_ready(ChangeState, self._name("change_state")) and self._link.is_service_ready(
                 GetState, self._name("get_state")
             )
 
         while (remaining_s := deadline_s - time.monotonic()) > 0:
-            if not self._changes.wait_for(served, remaining_s):
+            if not self._changes.wait_for(served, remaining_s, self._check):
                 return False
             if self.state(min(_STATE_CALL_S, remaining_s)) is not None:
                 return True
@@ -69,7 +68,7 @@ class LifecycleClient:
         from lifecycle_msgs.srv import GetState  # heavy
 
         call = self._link.call(GetState, self._name("get_state"), GetState.Request(), self._changes.notify)
-        if not self._changes.wait_for(lambda: self._look(lambda: call.done), timeout_s):
+        if not self._changes.wait_for(lambda: call.done, timeout_s, self._check):
             call.abandon()
             return None
         return str(call.response.current_state.label)
@@ -101,18 +100,12 @@ class LifecycleClient:
             if state == _BEFORE[name]:
                 self._announce(digest_of_transition(TRANSITIONS[name], name))
                 calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
-            self._changes.wait_for(lambda: self._look(lambda: _made(calls) is not None), min(_LOST_S, remaining_s))
+            self._changes.wait_for(lambda: _made(calls) is not None, min(_LOST_S, remaining_s), self._check)
             made = _made(calls)
         for call in calls:
             if not call.done:
                 call.abandon()
         return made
-
-    def _look(self, fact: Callable[[], bool]) -> bool:
-        if fact():
-            return True
-        self._check()
-        return False
 
     def _name(self, service: str) -> str:
         return f"{self._node}/{service}"

@@ -50,12 +50,7 @@ class ParameterClient:
         from rcl_interfaces.srv import SetParameters  # heavy
 
         name = f"{self._node}/set_parameters"
-
-        def found() -> bool:
-            check()
-            return self._link.is_service_ready(SetParameters, name)
-
-        if not self._changes.wait_for(found, timeout_s):
+        if not self._changes.wait_for(lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check):
             raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
 
     def send(self, values: Mapping[str, str | int]) -> Call:
@@ -76,13 +71,7 @@ class ParameterClient:
         Raises:
             NotReadyError: no answer in time.
         """
-
-        def done() -> bool:
-            if not call.done:
-                check()
-            return call.done
-
-        if not self._changes.wait_for(done, timeout_s):
+        if not self._changes.wait_for(lambda: call.done, timeout_s, check):
             call.abandon()
             raise NotReadyError(
                 f"{self._node} did not take its parameters within {timeout_s:.2g} s.",

@@ -7,38 +7,88 @@ frozen for ever, deaf to its death signal.
 
 from __future__ import annotations
 
-import math
+import logging
 import os
 import signal
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
+from roboneuron.errors import NotReadyError
 from roboneuron.log_files import escaped, make_log_directory, opener
-from roboneuron.supervisor.logs import read_tail
-from roboneuron.supervisor.observing import ProcessObservers
+from roboneuron.supervisor.changes import Lasting
 
-LAST_LINES = 15
+log = logging.getLogger(__name__)
+_LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
+_TAIL_BYTES = 64 * 1024
+KILL_S = 5.0
+"""After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
 _FROZEN_S = 0.3
 """A debugger or job control may stop a process for a moment."""
 
 
+class ProcessObserver(Protocol):
+    """What a feature may want to know of module processes; called from any thread, must return quickly."""
+
+    def spawning(self) -> None:
+        """Another process is about to be started."""
+        ...
+
+    def observe(self, pid: int) -> None:
+        """The living process has proved that it works, or is about to be ended: look at it now."""
+        ...
+
+    def ended(self, pid: int, name: str) -> None:
+        """The process and all that it had started are dead; nobody was told yet."""
+        ...
+
+
+class ProcessObservers:
+    """Tells every observer; one that raises is logged and disturbs nobody."""
+
+    def __init__(self) -> None:
+        self._observers: list[ProcessObserver] = []
+
+    def add(self, observer: ProcessObserver) -> None:
+        """Tell this one too from now on."""
+        self._observers.append(observer)
+
+    def tell(self, event: Callable[[ProcessObserver], None]) -> None:
+        """Call a method of every observer."""
+        for observer in self._observers:
+            try:
+                event(observer)
+            except Exception:  # the border to a feature's own code: processes are started and ended all the same
+                log.exception("An observer of processes failed.")
+
+
+def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
+    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there is no such file."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            start = max(offset, size - _TAIL_BYTES)
+            file.seek(start)
+            text = file.read().decode("utf-8", errors="replace")
+    except FileNotFoundError:
+        return ()
+    found = text.splitlines()
+    if start > offset and len(found) > 1:
+        found = found[1:]
+    return tuple(found[-lines:])
+
+
 class ModuleProcess:
-    """A running child and, later, how it ended. Made by `Spawner.spawn`; every method may be called from any thread."""
+    """A running child and, later, how it ended. Made by `spawn`; every method may be called from any thread."""
 
     def __init__(
-        self,
-        name: str,
-        child: subprocess.Popen[bytes],
-        log_path: Path,
-        log_offset: int,
-        observers: ProcessObservers,
+        self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int, observers: ProcessObservers
     ) -> None:
         self.name = name
         self.pid = child.pid
@@ -49,7 +99,7 @@ class ModuleProcess:
         self._reaping = threading.Lock()
         self._exited = threading.Event()
         self._observers = observers
-        self._frozen_since_s = math.inf
+        self._frozen = Lasting()
 
     @property
     def exit_code(self) -> int | None:
@@ -63,13 +113,11 @@ class ModuleProcess:
             state = stat.rpartition(")")[2].split()[0]  # the name before it may hold blanks
         except (OSError, IndexError):
             state = ""
-        now_s = time.monotonic()
-        self._frozen_since_s = min(self._frozen_since_s, now_s) if state in ("T", "t") else math.inf
-        return now_s - self._frozen_since_s > _FROZEN_S
+        return self._frozen.held_s(state in ("T", "t")) > _FROZEN_S
 
-    def last_lines(self, lines: int = LAST_LINES) -> tuple[str, ...]:
+    def last_lines(self) -> tuple[str, ...]:
         """The end of what this process has written to its log."""
-        return read_tail(self.log_path, lines=lines, offset=self._log_offset)
+        return read_tail(self.log_path, lines=_LAST_LINES, offset=self._log_offset)
 
     def note(self, line: str) -> None:
         """Add a line to its log, so that it stands among its last ones."""
@@ -78,7 +126,7 @@ class ModuleProcess:
 
     def show(self) -> None:
         """Let observers look at it while it lives."""
-        self._observers.observe(self.pid)
+        self._observers.tell(lambda observer: observer.observe(self.pid))
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
@@ -120,11 +168,33 @@ class ModuleProcess:
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()
-            self._observers.ended(self.pid, self.name)
+            self._observers.tell(lambda observer: observer.ended(self.pid, self.name))
             self._exited.set()
             on_exit(self)
 
         threading.Thread(target=watch, name=f"reaper-{self.name}", daemon=True).start()
+
+
+def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
+    """SIGTERM, bounded wait, SIGKILL, reap; returns the pids that had to be killed.
+
+    Raises:
+        NotReadyError: one survives SIGKILL.
+    """
+    for process in processes:
+        process.show()
+        process.terminate()
+    deadline_s = time.monotonic() + timeout_s
+    killed = set()
+    for process in processes:
+        if not process.wait(max(0.0, deadline_s - time.monotonic())):
+            log.warning("%s (pid %d) did not leave within %g s: killed.", process.name, process.pid, timeout_s)
+            process.kill()
+            killed.add(process.pid)
+    for process in processes:
+        if not process.wait(KILL_S):
+            raise NotReadyError(f"{process.name} (pid {process.pid}) survives SIGKILL: it hangs in the kernel.")
+    return killed
 
 
 def _kill_group(group: int) -> None:
@@ -132,52 +202,37 @@ def _kill_group(group: int) -> None:
         os.killpg(group, signal.SIGKILL)
 
 
-class Spawner:
-    """Starts processes from one thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*."""
+def spawn(
+    name: str,
+    command: Sequence[str],
+    environment: Mapping[str, str],
+    first_line: str,
+    log_path: Path,
+    observers: ProcessObservers,
+) -> ModuleProcess:
+    """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to `log_path`.
 
-    def __init__(self, observers: ProcessObservers) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
-        self._observers = observers
+    To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*.
 
-    def spawn(
-        self,
-        name: str,
-        command: Sequence[str],
-        environment: Mapping[str, str],
-        first_line: str,
-        log_path: Path,
-    ) -> ModuleProcess:
-        """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to `log_path`.
-
-        Raises:
-            OSError: the command cannot be started.
-        """
-        return self._thread.submit(self._spawn, name, command, environment, first_line, log_path).result()
-
-    def close(self) -> None:
-        """End the thread; children that are still alive get their death signal."""
-        self._thread.shutdown(wait=True)
-
-    def _spawn(
-        self, name: str, command: Sequence[str], environment: Mapping[str, str], first_line: str, log_path: Path
-    ) -> ModuleProcess:
-        self._observers.spawning()
-        make_log_directory(log_path.parent)
-        with open(log_path, "ab", opener=opener) as output:
-            offset = output.tell()
-            child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it
-                list(command),
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(environment),
-                process_group=0,
-            )
-        process = ModuleProcess(name, child, log_path, offset, self._observers)
-        assert child.stdin is not None
-        # A child that dies before it reads is noticed by its reaper.
-        with suppress(BrokenPipeError):
-            child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
-            child.stdin.flush()
-        os.set_blocking(child.stdin.fileno(), False)
-        return process
+    Raises:
+        OSError: the command cannot be started.
+    """
+    observers.tell(lambda observer: observer.spawning())
+    make_log_directory(log_path.parent)
+    with open(log_path, "ab", opener=opener) as output:
+        offset = output.tell()
+        child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it
+            list(command),
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=dict(environment),
+            process_group=0,
+        )
+    assert child.stdin is not None
+    # A child that dies before it reads is noticed by its reaper.
+    with suppress(BrokenPipeError):
+        child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
+        child.stdin.flush()
+    os.set_blocking(child.stdin.fileno(), False)
+    return ModuleProcess(name, child, log_path, offset, observers)

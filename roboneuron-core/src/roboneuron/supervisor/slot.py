@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
@@ -48,6 +48,14 @@ class Choice:
     plan: Plan | None = None
 
 
+class Claim(NamedTuple):
+    """What a slot held when a stop began."""
+
+    slot: Slot
+    process: ModuleProcess
+    settings: ModuleSettings
+
+
 class Slot:
     """The phases of one module; every change is made under the lock of `changes` and announced."""
 
@@ -78,21 +86,20 @@ class Slot:
             self.process, self.exit, self._cancelled = None, None, ""
         self._changes.notify()
 
-    def begin_stop(self) -> ModuleProcess:
+    def begin_stop(self) -> Claim:
         """Claim the slot for a stop and return what is to be ended.
 
         Raises:
             StateError: nothing is running.
         """
         with self._changes.lock:
-            if self.phase == "exited":
-                raise StateError(f"{self.kind} is not running: {self.explain_exit()}")
-            if self.phase != "running" or self.process is None:
-                raise StateError(f"{self.kind} is not running (it is {self.phase}).")
+            self.check_running()
+            assert self.process is not None
+            assert self.choice is not None
             self.phase = "stopping"
-            process = self.process
+            claim = Claim(self, self.process, self.choice.settings)
         self._changes.notify()
-        return process
+        return claim
 
     def settle(self, phase: Phase) -> None:
         """A start or stop has come to its end."""
@@ -115,6 +122,12 @@ class Slot:
         """Raises StateError when the start in progress was cancelled."""
         if self._cancelled:
             raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
+
+    def check_running(self, hint: str = "") -> None:
+        """Raises StateError with the reason and `hint` unless the module runs."""
+        if self.phase != "running":
+            why = f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
+            raise StateError(f"{self.kind} is not running{why}", hint=hint)
 
     def check_alive(self, doing: str) -> None:
         """Raises NotReadyError when the process has ended, with its last words, or is frozen."""

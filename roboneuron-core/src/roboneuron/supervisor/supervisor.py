@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,15 +15,10 @@ from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.ending import KILL_S
-from roboneuron.supervisor.health import Report, StatusBoard
-from roboneuron.supervisor.heartbeat import Heartbeat
+from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
-from roboneuron.supervisor.logs import run_directory
-from roboneuron.supervisor.observing import ProcessObservers
-from roboneuron.supervisor.process import ModuleProcess
-from roboneuron.supervisor.slot import Choice, Slot
+from roboneuron.supervisor.process import KILL_S, ModuleProcess
+from roboneuron.supervisor.slot import Choice, Claim, Slot
 from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
@@ -46,6 +42,8 @@ class Supervisor:
 
     Attributes:
         observers: told of every module process.
+        changes: told of all that happens to modules; its lock guards `slots`.
+        slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
         on_join: what modules call once they have joined ROS, as "module:attribute".
         secret_variables: environment variables that modules do not get.
     """
@@ -58,35 +56,21 @@ class Supervisor:
         on_change: Callable[[ModuleKind], object] = _ignore,
     ) -> None:
         self.state_directory = state_directory
-        self.log_directory = run_directory(state_directory)
         self.changes = Changes()
-        self.observers = ProcessObservers()
         self.on_join: tuple[str, ...] = ()
-        self.secret_variables: set[str] = set()
-        board = StatusBoard(self.changes)
-        self._connection = Connection(board.receive, self.log_directory)
-        self._heartbeat = Heartbeat(self._processes)
-        self._launcher = Launcher(
-            self._connection,
-            board,
-            self.changes,
-            command=command,
-            log_directory=self.log_directory,
-            on_spawn=self._heartbeat.start,
-            on_change=on_change,
-            observers=self.observers,
-            secret_variables=self.secret_variables,
-        )
-        self._on_change = on_change
-        self._slots = {kind: Slot(kind, self.changes) for kind in MODULE_KINDS}
-        self._beside: list[Slot] = []
+        self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes)
+        self.log_directory = self._launcher.log_directory
+        self.observers = self._launcher.observers
+        self.secret_variables = self._launcher.secret_variables
+        self.on_change = on_change
+        self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
         self._order = count(1)
         self._closed = False
 
     @property
     def link(self) -> RosLink:
         """The ROS node of the control plane; opened on first use."""
-        return self._connection.link()
+        return self._launcher.connection.link()
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.
@@ -95,7 +79,7 @@ class Supervisor:
             ConfigurationError: the state directory cannot be written.
         """
         check_state_directory(self.state_directory)
-        self._connection.begin()
+        self._launcher.connection.begin()
 
     def start(
         self,
@@ -106,6 +90,7 @@ class Supervisor:
         names: Mapping[str, str] | None = None,
         plan: Plan | None = None,
         on_stage: Stage = _ignore,
+        beside: Slot | None = None,
     ) -> ModuleView:
         """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves nothing behind.
 
@@ -116,95 +101,42 @@ class Supervisor:
             names: what was chosen, for messages.
             plan: the descriptors behind these names.
             on_stage: called with a phrase whenever the start has come further.
+            beside: one of `slots` but the first: it starts there, in shadow, while another one works.
 
         Raises:
             StateError: it is already there, or the start was cancelled.
             NotReadyError: it died, or something is missing; the message names it.
             RoboNeuronError: what the module itself says is wrong.
         """
-        slot = self._slots[kind]
         with self.changes.lock:
-            self._check_open()
-            settings = self._settings(kind, kind, config)
+            if self._closed:
+                raise StateError("The server is shutting down.")
+            working = self.slot(kind).choice
+            other_name = beside is not None and working is not None and working.settings.node_name == kind
+            slot = beside or self.slot(kind)
+            settings = ModuleSettings(
+                kind=kind,
+                node_name=f"{kind}_b" if other_name else kind,
+                config=config,
+                state_directory=str(self.state_directory),
+                shadow=beside is not None,
+                on_join=self.on_join,
+            )
             slot.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
         self._launcher.bring_up(slot, settings, python, on_stage, lambda: self._absent(kind, plan))
         return self.view(kind)
 
-    def start_standby(
-        self,
-        kind: ModuleKind,
-        config: Config,
-        *,
-        python: str | None = None,
-        names: Mapping[str, str] | None = None,
-        plan: Plan | None = None,
-        on_stage: Stage = _ignore,
-    ) -> Slot:
-        """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
-
-        Raises:
-            StateError: nothing of that kind runs, or there is a standby already.
-            RoboNeuronError: as `start`.
-        """
-        standby = Slot(kind, self.changes)
-        with self.changes.lock:
-            self._check_open()
-            active = self._slots[kind]
-            if active.phase != "running" or active.choice is None:
-                raise StateError(f"{kind} is not running (it is {active.phase}).", hint=f"Call start_{kind} first.")
-            if any(other.kind == kind for other in self._beside):
-                raise StateError(f"{kind} is already being replaced.", hint="Wait for the end of that call.")
-            name = kind if active.choice.settings.node_name != kind else f"{kind}_b"
-            settings = self._settings(kind, name, config, shadow=True)
-            standby.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
-            self._beside.append(standby)
-        try:
-            self._launcher.bring_up(standby, settings, python, on_stage, lambda: self._absent(kind, plan))
-        except BaseException:
-            self._forget_beside(standby)
-            raise
-        return standby
-
-    def adopt(self, standby: Slot) -> Slot:
-        """Make the standby the module of its kind; returns the old one, which is to be discarded.
-
-        Raises:
-            StateError: the old one is being stopped, or the standby is gone.
-        """
-        with self.changes.lock:
-            old = self._slots[standby.kind]
-            if old.phase != "running":
-                raise StateError(f"{standby.kind} is {old.phase} now; nothing was replaced.")
-            if standby.phase != "running":
-                raise StateError(f"The new {standby.kind} is gone: {standby.explain_exit()}")
-            self._slots[standby.kind] = standby
-            self._beside[self._beside.index(standby)] = old
-        self._on_change(standby.kind)
-        return old
-
-    def discard(self, slot: Slot) -> Stopped | None:
-        """End a standby or a replaced module; None when its process was gone already."""
-        try:
-            process = slot.begin_stop()
-            return self._launcher.finish([(slot, process)])[0]
-        except StateError:
-            return None
-        finally:
-            self._forget_beside(slot)
-
     def slot(self, kind: ModuleKind) -> Slot:
-        """The slot of the module that works now; another one after `adopt`."""
+        """The slot of the module that works now; another one after a replacement."""
         with self.changes.lock:
-            return self._slots[kind]
-
-    def beside(self, kind: ModuleKind) -> list[Slot]:
-        """A module that is about to take over, or has been replaced and is leaving."""
-        with self.changes.lock:
-            return [slot for slot in self._beside if slot.kind == kind]
+            return self.slots[kind][0]
 
     def report_of(self, slot: Slot) -> Report | None:
         """The newest report of a module, standby or not."""
-        return self._launcher.report_of(slot)
+        process, choice = slot.process, slot.choice
+        if process is None or choice is None:
+            return None
+        return self._launcher.board.newest(choice.settings.status_name, process.pid)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
@@ -212,18 +144,27 @@ class Supervisor:
         Raises:
             StateError: it is not running.
         """
-        slot = self._slots[kind]
-        self._cancel_beside(kind, f"stop_{kind} was called.")
-        if slot.cancel(f"stop_{kind} was called."):
+        reason = f"stop_{kind} was called."
+        slot, *others = self._all(kind)
+        for other in others:
+            other.cancel(reason)
+        if slot.cancel(reason):
             self._await_settled(slot)
             if slot.phase != "running":
                 return None
-        process = slot.begin_stop()
-        return self._launcher.finish([(slot, process)])[0]
+        return self.end(slot)
+
+    def end(self, slot: Slot) -> Stopped:
+        """Deactivate, end and reap the module in one of `slots`.
+
+        Raises:
+            StateError: it is not running.
+        """
+        return self._launcher.finish([slot.begin_stop()])[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one."""
-        return self._cancel_beside(kind, reason) or self._slots[kind].cancel(reason)
+        return any(slot.cancel(reason) for slot in reversed(self._all(kind)))
 
     def stop_all(self, within_s: float = math.inf) -> list[Stopped]:
         """Stop everything in the reverse order of starting; never raises for what is not running.
@@ -231,23 +172,20 @@ class Supervisor:
         Args:
             within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give it more time.
         """
-        with self.changes.lock:
-            slots = [*self._slots.values(), *self._beside]
+        slots = self._all()
         for slot in slots:
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
-        claimed: list[tuple[Slot, ModuleProcess]] = []
+        claims: list[Claim] = []
         for slot in sorted(slots, key=lambda s: -s.order):
-            try:
-                claimed.append((slot, slot.begin_stop()))
-            except StateError:
-                continue
-        return self._launcher.finish(claimed, within_s)
+            with suppress(StateError):
+                claims.append(slot.begin_stop())
+        return self._launcher.finish(claims, within_s)
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now."""
         with self.changes.lock:
-            slot = self._slots[kind]
+            slot = self.slot(kind)
             report = self.report_of(slot)
             return ModuleView(
                 kind=kind,
@@ -268,16 +206,13 @@ class Supervisor:
         Raises:
             StateError: it is not running; the message says why and what to do.
         """
-        view = self.view(kind)
-        if view.phase == "exited":
-            raise StateError(f"{kind} is not running: {self._slots[kind].explain_exit()}", hint=f"Call start_{kind}.")
-        if view.phase != "running":
-            raise StateError(f"{kind} is not running (it is {view.phase}).", hint=f"Call start_{kind} first.")
-        return view
+        with self.changes.lock:
+            self.slot(kind).check_running(f"Call start_{kind} first.")
+            return self.view(kind)
 
     def log_path(self, kind: ModuleKind) -> Path:
         """Where the present module of that kind logs."""
-        choice = self._slots[kind].choice
+        choice = self.slot(kind).choice
         return self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
 
     def close(self) -> None:
@@ -285,8 +220,6 @@ class Supervisor:
         with self.changes.lock:
             self._closed = True
         self.stop_all(_LEAVE_S)
-        self._connection.close()
-        self._heartbeat.close()
         self._launcher.close()
 
     def _absent(self, kind: ModuleKind, plan: Plan | None) -> list[ModuleKind]:
@@ -295,36 +228,14 @@ class Supervisor:
         needed = sources.get(kind, ())
         if kind == "inference" and plan is not None and plan.backend is not None and plan.backend.needs_state:
             needed = ("robot", "perception", "control")
-        return [other for other in needed if self._slots[other].phase not in ("starting", "running")]
+        return [other for other in needed if self.slot(other).phase not in ("starting", "running")]
 
-    def _settings(self, kind: ModuleKind, name: str, config: Config, *, shadow: bool = False) -> ModuleSettings:
-        return ModuleSettings(
-            kind=kind,
-            node_name=name,
-            config=config,
-            state_directory=str(self.state_directory),
-            shadow=shadow,
-            on_join=self.on_join,
-        )
+    def _all(self, *kinds: ModuleKind) -> list[Slot]:
+        with self.changes.lock:
+            return [slot for kind in kinds or MODULE_KINDS for slot in self.slots[kind]]
 
     def _processes(self) -> list[ModuleProcess]:
-        with self.changes.lock:
-            slots = [*self._slots.values(), *self._beside]
-        return [slot.process for slot in slots if slot.process is not None]
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise StateError("The server is shutting down.")
-
-    def _cancel_beside(self, kind: ModuleKind, reason: str) -> bool:
-        with self.changes.lock:
-            cancelled = [slot.cancel(reason) for slot in self._beside if slot.kind == kind]
-        return any(cancelled)
-
-    def _forget_beside(self, slot: Slot) -> None:
-        with self.changes.lock:
-            if slot in self._beside:
-                self._beside.remove(slot)
+        return [slot.process for slot in self._all() if slot.process is not None]
 
     def _await_settled(self, slot: Slot) -> None:
         config = slot.choice.settings.config.supervisor if slot.choice is not None else None

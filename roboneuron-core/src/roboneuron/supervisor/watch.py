@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
+from roboneuron.supervisor.periodic import Periodic
 from roboneuron.supervisor.view import ModuleView
 
 log = logging.getLogger(__name__)
@@ -34,14 +34,8 @@ EXPLANATIONS: dict[Health, str] = {
 
 def assess(view: ModuleView, now_s: float) -> Health:
     """How a module is at the monotonic time `now_s`."""
-    if view.phase == "exited":
-        return "exited"
-    if view.phase == "stopped":
-        return "stopped"
-    if view.phase == "starting":
-        return "starting"
-    if view.phase == "stopping":
-        return "stopping"
+    if view.phase != "running":
+        return view.phase
     report = view.report
     if report is None or now_s - report.received_s > SILENT_S:
         return "silent"
@@ -59,7 +53,7 @@ Listener = Callable[[ModuleView, Health, Health], None]
 """Called from the watching thread with the module, how it was, and how it is."""
 
 
-class Watch:
+class Watch(Periodic):
     """A thread that looks at all modules and tells listeners about every change.
 
     Args:
@@ -68,23 +62,10 @@ class Watch:
     """
 
     def __init__(self, views: Callable[[], Sequence[ModuleView]], listeners: Sequence[Listener]) -> None:
+        super().__init__("watch", LOOK_S, self.look)
         self._views = views
         self._listeners = tuple(listeners)
         self._known: dict[str, Health] = {}
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Begin; does nothing the second time."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
-            self._thread.start()
-
-    def close(self) -> None:
-        """End the thread; idempotent."""
-        self._stop.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(2.0)
 
     def look(self) -> None:
         """Compare everything with what is known."""
@@ -99,9 +80,5 @@ class Watch:
             for listener in self._listeners:
                 try:
                     listener(view, before, health)
-                except Exception:  # a failing listener must not end the watch
+                except Exception:  # one failing listener must not keep the others from hearing of it
                     log.exception("A listener failed.")
-
-    def _run(self) -> None:
-        while not self._stop.wait(LOOK_S):
-            self.look()

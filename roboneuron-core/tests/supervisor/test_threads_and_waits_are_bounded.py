@@ -1,0 +1,99 @@
+"""The thread that repeats a step, and the wait with a bound that everybody uses."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+import pytest
+
+from roboneuron.errors import StateError
+from roboneuron.supervisor.changes import Changes, Lasting
+from roboneuron.supervisor.periodic import Periodic
+
+SOON_S = 20.0
+
+
+def test_a_step_that_raises_is_logged_once_and_repeated(caplog: pytest.LogCaptureFixture) -> None:
+    again = threading.Event()
+    steps: list[int] = []
+
+    def step() -> None:
+        steps.append(threading.get_ident())
+        if len(steps) > 2:
+            again.set()
+        raise ValueError("the look failed")
+
+    thread = Periodic("looks", 0.01, step)
+    thread.start()
+    thread.start()
+    assert again.wait(SOON_S)
+    thread.close()
+    assert len(set(steps)) == 1, "one thread, although it was started twice"
+    assert [record.exc_text for record in caplog.records if "the look failed" in str(record.exc_text)], caplog.text
+    assert len(caplog.records) == 1
+    assert not [t for t in threading.enumerate() if t.name == "looks"]
+
+
+def test_the_first_step_does_not_wait_for_the_period() -> None:
+    stepped = threading.Event()
+    thread = Periodic("slow", 3600.0, stepped.set)
+    thread.start()
+    assert stepped.wait(SOON_S)
+    thread.close()
+    thread.close()
+
+
+def test_a_step_may_end_its_own_thread(caplog: pytest.LogCaptureFixture) -> None:
+    steps: list[Periodic] = []
+    ended = threading.Event()
+
+    def step() -> None:
+        steps.append(thread)
+        thread.close()
+        ended.set()
+
+    thread = Periodic("once", 0.001, step)
+    with caplog.at_level(logging.ERROR):
+        thread.start()
+        assert ended.wait(SOON_S)
+        thread.close()
+    assert len(steps) == 1
+    assert caplog.text == ""
+
+
+def test_one_that_was_never_started_can_be_closed() -> None:
+    Periodic("never", 0.01, lambda: None).close()
+
+
+def test_a_wait_ends_with_the_fact_the_bound_or_the_check() -> None:
+    changes = Changes()
+    assert changes.wait_for(lambda: 7, 0.0) == 7
+    assert changes.wait_for(lambda: None, 0.0) is None
+    looks: list[int] = []
+
+    def check() -> None:
+        looks.append(1)
+        if len(looks) == 3:
+            raise StateError("cancelled")
+
+    with pytest.raises(StateError, match="cancelled"):
+        changes.wait_for(lambda: False, SOON_S, check)
+
+    def fail() -> None:
+        raise StateError("asked although the fact is there")
+
+    assert changes.wait_for(lambda: True, SOON_S, fail)
+
+
+def test_a_fact_lasts_since_the_first_look_that_found_it() -> None:
+    lasting = Lasting()
+    assert lasting.held_s(False) < 0.0
+    first_s = lasting.held_s(True)
+    started_s = time.monotonic()
+    while time.monotonic() == started_s:
+        pass
+    assert first_s < lasting.held_s(True)
+    assert lasting.held_s(False) < 0.0
+    assert lasting.held_s(True) == first_s == 0.0, "the time before the break does not count"
