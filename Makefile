@@ -37,10 +37,12 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with 
 test: test-units test-ros ## the default test suite
 
 test-units: $(VENV)/.develop ## its tests without ROS processes, JOBS at a time
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not ros and not gpu and not hardware and not slow" $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not ros and not gpu and not hardware and not slow" $(ARGS)
 
-test-ros: $(VENV)/.develop ## its tests with ROS processes, one at a time: they keep time
-	$(BIN)/python -m pytest -m "ros and not gpu and not hardware and not slow" $(ARGS)
+test-ros: $(VENV)/.develop ## its tests with ROS processes, JOBS at a time, then those that keep time, alone
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+	  -m "ros and not timing and not gpu and not hardware and not slow" $(ARGS)
+	$(BIN)/python -m pytest -m "ros and timing and not gpu and not hardware and not slow" $(ARGS)
 
 test-all: $(VENV)/.develop ## the default suite and the slow tests
 	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)

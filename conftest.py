@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+from rn_testing.domain import free_ros_domain
+
+settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy-machine")
+
+
+def pytest_configure() -> None:
+    """Give this process a ROS domain of its own: what runs side by side on one machine never meets."""
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -23,7 +23,7 @@ from fault_loop import PARTS, JointWitness, fail, moving_cell
 
 sys.path.pop(0)
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 MEMORY_LIMIT_MB = 400
 HOLD_S = 0.5 + 0.5 + 0.5
 """max_image_age_s, then action_timeout_s, then what a busy machine adds."""

@@ -32,7 +32,7 @@ from fault_loop import JointWitness, config_text, environment
 
 sys.path.pop(0)
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 LEASE_S, SERVER_TIMEOUT_S = 8.0, 1.0
 SERVER = """
 [server]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import distribution
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +17,9 @@ from roboneuron.plugins.record import PluginRecord, Status
 from roboneuron.plugins.specs import Spec
 
 REGISTRY = discover()
+PLUGINS = Path(__file__).parents[1] / "plugins"
+LONG = "/memory-bounded"
+"""Takes seconds each: left to the contract tests of the packages."""
 OFFERS = [offer.spec for offer in REGISTRY.all_offers if offer.status is Status.READY]
 
 
@@ -32,7 +37,12 @@ def test_every_installed_plugin_keeps_the_package_rules(plugin: PluginRecord, ru
 
 @pytest.mark.parametrize(
     ("spec", "rule"),
-    [pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}") for s in OFFERS for r in RULES[s.kind]],
+    [
+        pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}")
+        for s in OFFERS
+        for r in RULES[s.kind]
+        if not r.id.endswith(LONG)
+    ],
 )
 def test_every_installed_offer_keeps_the_rules_of_its_kind(spec: Spec, rule: Rule[Any]):
     outcome = verify(rule, make_case(spec, {}))
@@ -48,3 +58,12 @@ def test_every_installed_plugin_needs_this_version_of_the_core(plugin: PluginRec
     assert len(core) == 1
     assert ">=0.1" in core[0]
     assert "<0.2" in core[0]
+
+
+@pytest.mark.parametrize("spec", OFFERS, ids=lambda spec: f"{spec.kind} {spec.name}")
+def test_what_has_long_rules_has_contract_tests_in_its_package(spec: Spec):
+    if not any(rule.id.endswith(LONG) for rule in RULES[spec.kind]):
+        pytest.skip("no rule is long")
+    (package,) = {offer.distribution for offer in REGISTRY.all_offers if offer.spec is spec}
+    written = "".join(path.read_text() for path in (PLUGINS / package / "tests").glob("test_*.py"))
+    assert re.search(rf"^class Test\w+\({spec.kind.capitalize()}Contract\)", written, re.MULTILINE)

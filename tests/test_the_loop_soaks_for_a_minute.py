@@ -12,7 +12,7 @@ from soak import Settings, run
 
 sys.path.pop(0)
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(300)]
 
 
 def test_a_minute_of_switches_and_faults_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ JUMPS_S = (HOUR_S, -HOUR_S, -YEAR_S, YEAR_S, -0.3, 30.0)
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler to stand in for a clock that is set")
 def test_a_cell_goes_on_by_itself_when_the_clock_is_set(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.requests import StartControl
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 
 
 def test_the_joints_do_not_notice_a_new_controller(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(240)]
 
 Wait = Callable[[Callable[[], bool], float, str], float]
 BRAKING_S = 0.5

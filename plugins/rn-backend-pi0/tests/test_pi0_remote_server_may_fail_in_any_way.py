@@ -24,7 +24,7 @@ from roboneuron.errors import ConfigurationError, NotReadyError, StateError, Ung
 
 Observe = Callable[..., Observation]
 TIMEOUT_S = 1.0
-SLACK_S = 1.0
+SLACK_S = 6.0
 """What scheduling on a busy machine may add to a bounded wait."""
 
 
@@ -133,7 +133,7 @@ def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
     released = policy_server.released
 
     def slow(request: dict[Any, Any]) -> dict[str, Any]:
-        released.wait(2 * TIMEOUT_S)
+        released.wait(60 * TIMEOUT_S)
         return {"actions": np.full((1, 7), 0.5)}
 
     policy_server.answer = slow

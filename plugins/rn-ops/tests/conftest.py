@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes.site import PluginSite
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -32,11 +32,8 @@ state_directory = "{state}"
 def site(tmp_path: Path) -> Path:
     """A folder for PYTHONPATH in which the plugin is installed."""
     folder = tmp_path / "site"
-    info = folder / "rn_ops_tests-1.0.dist-info"
-    info.mkdir(parents=True)
-    shutil.copy(Path(__file__).with_name("ops_plugin.py"), folder / "rn_ops_tests_plugin.py")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-ops-tests\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[roboneuron]\nrn-ops-tests = rn_ops_tests_plugin\n")
+    source = Path(__file__).with_name("ops_plugin.py").read_text()
+    PluginSite(path=folder).install("rn-ops-tests", source, header="")
     return folder
 
 

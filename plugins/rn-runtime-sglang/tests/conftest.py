@@ -14,7 +14,7 @@ from rn_runtime_sglang.standin.replies import Behaviour
 from rn_runtime_sglang.standin.server import StandIn
 from rn_vla.decoding import PolicyModel
 
-FAST: dict[str, Any] = {"poll_s": 0.05, "start_timeout_s": 10.0}
+FAST: dict[str, Any] = {"poll_s": 0.05, "start_timeout_s": 30.0, "connect_timeout_s": 5.0, "timeout_s": 30.0}
 
 
 @pytest.fixture

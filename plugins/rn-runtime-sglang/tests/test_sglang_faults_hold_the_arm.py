@@ -9,8 +9,11 @@ import pytest
 from rn_runtime_sglang.case import token_request
 from roboneuron.errors import NotReadyError, RoboNeuronError, UnsafeError
 
+AT_ONCE_S = 10.0
+"""Long for a busy machine, short beside the minute of what is not waited for."""
 
-def until(condition, limit_s=5.0) -> bool:
+
+def until(condition, limit_s=20.0) -> bool:
     deadline_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > deadline_s:
@@ -54,11 +57,11 @@ def test_logits_that_are_not_finite_are_unsafe(launch, connect):
 def test_a_late_answer_is_dropped_aborted_and_counted(launch, connect):
     server = launch()
     runtime = connect(server, timeout_s=0.2)
-    server.behaviour.delay_s = 5.0
+    server.behaviour.delay_s = 60.0
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match="did not answer in time"):
         runtime.run(token_request())
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < AT_ONCE_S
     late = server.seen.generated[-1]
     assert until(lambda: late in server.seen.aborted)
     server.behaviour.delay_s = 0.0
@@ -69,12 +72,12 @@ def test_a_late_answer_is_dropped_aborted_and_counted(launch, connect):
 
 def test_the_deadline_of_the_request_counts_when_it_is_shorter(launch, connect):
     server = launch()
-    runtime = connect(server, timeout_s=10.0)
-    server.behaviour.delay_s = 5.0
+    runtime = connect(server, timeout_s=60.0)
+    server.behaviour.delay_s = 60.0
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match="did not answer in time"):
         runtime.run(token_request(deadline_s=started_s + 0.2))
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < AT_ONCE_S
     with pytest.raises(NotReadyError, match="deadline had passed"):
         runtime.run(token_request(deadline_s=started_s))
 
@@ -86,7 +89,7 @@ def test_an_answer_that_trickles_in_is_late_too(launch, connect):
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match="did not answer in time"):
         runtime.run(token_request())
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < AT_ONCE_S
 
 
 def test_a_half_open_connection_costs_one_timeout(launch, connect):
@@ -96,7 +99,7 @@ def test_a_half_open_connection_costs_one_timeout(launch, connect):
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match="did not answer in time"):
         runtime.run(token_request())
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < AT_ONCE_S
 
 
 def test_a_listener_that_never_answers_is_not_ready(model):
@@ -112,13 +115,13 @@ def test_a_listener_that_never_answers_is_not_ready(model):
 
 def test_a_server_killed_during_a_request_ends_it_at_once_and_its_return_is_noticed(launch, connect):
     server = launch()
-    runtime = connect(server, timeout_s=10.0)
-    server.behaviour.delay_s = 30.0
+    runtime = connect(server, timeout_s=60.0)
+    server.behaviour.delay_s = 60.0
     error = _run_until_sent(runtime, server)
     started_s = time.monotonic()
     server.stop()
     assert isinstance(error(), NotReadyError)
-    assert time.monotonic() - started_s < 2.0
+    assert time.monotonic() - started_s < AT_ONCE_S
     server.behaviour.delay_s = 0.0
     server.start()
     assert runtime.run(token_request()).tokens.size == 7
@@ -126,13 +129,13 @@ def test_a_server_killed_during_a_request_ends_it_at_once_and_its_return_is_noti
 
 def test_abort_ends_a_request_at_once_here_and_there(launch, connect):
     server = launch()
-    runtime = connect(server, timeout_s=10.0)
-    server.behaviour.delay_s = 30.0
+    runtime = connect(server, timeout_s=60.0)
+    server.behaviour.delay_s = 60.0
     error = _run_until_sent(runtime, server)
     started_s = time.monotonic()
     runtime.abort()
     assert "abort was called" in str(error())
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < AT_ONCE_S
     assert until(lambda: server.seen.generated[-1] in server.seen.aborted)
     server.behaviour.delay_s = 0.0
     assert runtime.run(token_request()).metrics["served.aborted"] == 1.0
@@ -140,8 +143,8 @@ def test_abort_ends_a_request_at_once_here_and_there(launch, connect):
 
 def test_close_ends_a_request_at_once(launch, connect):
     server = launch()
-    runtime = connect(server, timeout_s=10.0)
-    server.behaviour.delay_s = 30.0
+    runtime = connect(server, timeout_s=60.0)
+    server.behaviour.delay_s = 60.0
     error = _run_until_sent(runtime, server)
     runtime.close()
     assert isinstance(error(), RoboNeuronError)

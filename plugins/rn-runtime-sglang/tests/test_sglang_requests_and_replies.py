@@ -143,7 +143,7 @@ def test_a_server_that_is_not_ready_is_named_after_the_time_is_over(launch, conn
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match=r"not ready \(status 503\)"):
         connect(server, start_timeout_s=0.3)
-    assert time.monotonic() - started_s < 2.0
+    assert time.monotonic() - started_s < 8.0  # the default is 10 s or more
 
 
 def test_nobody_listening_is_named(launch, connect):

@@ -11,7 +11,7 @@ from rn_runtime_sglang.case import token_request
 from roboneuron.errors import CheckpointError, NotReadyError
 
 
-def until(condition, limit_s=5.0) -> bool:
+def until(condition, limit_s=20.0) -> bool:
     deadline_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > deadline_s:

@@ -21,7 +21,7 @@ from switch_loop import Sent, Witness, moving_loop, quiet
 
 sys.path.pop(0)
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 
 
 def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:

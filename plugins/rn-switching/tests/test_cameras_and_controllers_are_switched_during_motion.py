@@ -26,7 +26,7 @@ from switch_loop import Witness, moving_loop, quiet
 
 sys.path.pop(0)
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 RATE_HZ = 20.0
 
 

@@ -13,7 +13,7 @@ from mcp import types
 
 from roboneuron.server.app import Application
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(60)]
 Ask = Callable[[Callable[[Any], Any]], None]
 
 

@@ -14,7 +14,7 @@ from mcp import Client
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.server.app import Application
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(60)]
 Ask = Callable[[Callable[[Any], Any]], None]
 FORWARD = {"robot": "rover", "message": {"linear": {"x": 0.3}}, "duration_s": 15}
 STEPS = [{"message": {"linear": {"x": x}}, "duration_s": 0.15} for x in (0.1, 0.2, 0.3)]

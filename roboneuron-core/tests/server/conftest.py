@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
+from rn_testing.fakes.site import PluginSite
+from rn_testing.fakes.wheels import Wheels
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.environment import prepare_environment
@@ -61,11 +60,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
 def server_environment(tmp_path: Path) -> dict[str, str]:
     """Environment of a server process that finds the plugin of these tests."""
     site = tmp_path / "site"
-    info = site / "rn_server_tests-1.0.dist-info"
-    info.mkdir(parents=True)
-    shutil.copy(Path(__file__).with_name("plugin_for_tests.py"), site / "rn_server_tests_plugin.py")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-server-tests\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[roboneuron]\nrn-server-tests = rn_server_tests_plugin\n")
+    source = Path(__file__).with_name("plugin_for_tests.py").read_text()
+    PluginSite(path=site).install("rn-server-tests", source, header="")
     return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(free_ros_domain())}
 
 
@@ -79,38 +75,6 @@ def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
         return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
 
     return make
-
-
-class Wheels:
-    """A subscriber of a ROS context of its own."""
-
-    def __init__(self, domain: int) -> None:
-        import rclpy
-        from geometry_msgs.msg import Twist
-        from rclpy.executors import SingleThreadedExecutor
-
-        self.speeds: list[float] = []
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain)
-        self.node = rclpy.create_node("wheels", namespace="gantry", context=self.context)
-        self.node.create_subscription(Twist, "cmd_vel", lambda m: self.speeds.append(m.linear.x), 50)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        from rclpy.exceptions import InvalidHandle
-        from rclpy.executors import ExternalShutdownException
-
-        with suppress(ExternalShutdownException, InvalidHandle):
-            self.executor.spin()
-
-    def close(self) -> None:
-        self.executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=2.0)
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture

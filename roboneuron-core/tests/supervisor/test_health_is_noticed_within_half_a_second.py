@@ -75,6 +75,7 @@ def test_one_word_says_how_a_module_is(values: dict[str, float | str | bool], no
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(90)
 def test_freezing_and_killing_are_noticed_within_half_a_second(
     supervisor: Supervisor, diary: Diary, make_config: MakeConfig

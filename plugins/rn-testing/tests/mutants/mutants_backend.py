@@ -6,7 +6,19 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from mutation import Mutant, compute, counted, forever, leave_thread, mutate, or_else, read_file, remembered, then
+from mutation import (
+    Mutant,
+    compute,
+    counted,
+    forever,
+    leave_thread,
+    mutate,
+    noise,
+    or_else,
+    read_file,
+    remembered,
+    then,
+)
 
 from rn_testing.fakes import InstantBackend
 from roboneuron.contract import ActionChunk
@@ -99,7 +111,7 @@ def shared_state(self, call):
 
 def noise_once(self, call, *arguments, **named):
     call(*arguments, **named)
-    self.random = np.random.default_rng()
+    self.noise = noise(0.01)
 
 
 MUTANTS: dict[str, Mutant] = {
@@ -230,12 +242,10 @@ MUTANTS: dict[str, Mutant] = {
     "reset_breaks": but("reset-safe", reset=lambda s, call: s.close()),
     "reset_only_once": but("reset-safe", reset=lambda s, call: None if counted(s) < 3 else [][0]),
     "reset_forgets_nothing": but("reset-forgets", predict=drifting),
-    "noise": but("reset-forgets", predict=lambda s, call, o: plus(call(o), np.random.default_rng().normal(0, 0.01))),
-    "noise_of_the_instance": but(
-        "repeatable", __init__=noise_once, predict=lambda s, call, o: plus(call(o), s.random.normal(0, 0.01))
-    ),
+    "noise": but("reset-forgets", predict=lambda s, call, o: plus(call(o), noise(0.01))),
+    "noise_of_the_instance": but("repeatable", __init__=noise_once, predict=lambda s, call, o: plus(call(o), s.noise)),
     "time_in_the_action": but(
-        "reset-forgets", predict=lambda s, call, o: plus(call(o), time.monotonic() % 1e-2 * 10 + 0.01 * counted(s))
+        "reset-forgets", predict=lambda s, call, o: plus(call(o), time.monotonic() + 0.01 * counted(s))
     ),
     "class_counts_loads": but(
         "repeatable", load=shared_state, predict=lambda s, call, o: plus(call(o), 0.002 * len(SHARED))

@@ -6,7 +6,19 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from mutation import Mutant, compute, counted, forever, leave_thread, mutate, or_else, read_file, remembered, then
+from mutation import (
+    Mutant,
+    compute,
+    counted,
+    forever,
+    leave_thread,
+    mutate,
+    noise,
+    or_else,
+    read_file,
+    remembered,
+    then,
+)
 
 from rn_testing.fakes import GantryController
 from roboneuron.contract import Hold, JointCommand
@@ -273,7 +285,7 @@ MUTANTS: dict[str, Mutant] = {
     "integrates_its_own_commands": but("memoryless", compute=integrates),
     "noise": but(
         "memoryless",
-        compute=sent(lambda s, c, j: replace(c, position=c.position + np.random.default_rng().normal(0, 1e-5))),
+        compute=sent(lambda s, c, j: replace(c, position=c.position + noise(1e-5))),
     ),
     "counts_its_calls": but(
         "memoryless", compute=sent(lambda s, c, j: replace(c, position=c.position + 1e-6 * counted(s)))

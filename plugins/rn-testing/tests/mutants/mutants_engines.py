@@ -6,7 +6,19 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mutation import Mutant, compute, counted, forever, leave_thread, mutate, or_else, read_file, remembered, then
+from mutation import (
+    Mutant,
+    compute,
+    counted,
+    forever,
+    leave_thread,
+    mutate,
+    noise,
+    or_else,
+    read_file,
+    remembered,
+    then,
+)
 
 from rn_testing.fakes import CountingRuntime, FakeDecoder, HalvingAcceleration
 from rn_testing.rule import require
@@ -154,7 +166,7 @@ RUNTIMES: dict[str, Mutant] = {
     "answers_nothing": but("run-answers", run=lambda s, call, r: then(call(r), None)),
     "answers_once": but("run-answers", run=lambda s, call, r: call(r) if counted(s) < 2 else None),
     "wrong_answer": but("run-expected", run=lambda s, call, r: call(r) + 1),
-    "noise": but("run-repeatable", run=lambda s, call, r: call(r) + np.random.default_rng().normal()),
+    "noise": but("run-repeatable", run=lambda s, call, r: call(r) + noise(1.0)),
     "cache_leaks_into_the_next_request": but("run-repeatable", run=leaking),
     "refused_request_leaves_a_trace": but("run-repeatable", run=left_by_refusal),
     "noise_of_the_instance": but(

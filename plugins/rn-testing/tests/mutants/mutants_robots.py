@@ -245,7 +245,7 @@ def no_state(self, call):
 
 
 def back_and_forth(self, joints):
-    return joints.stamp_ns - (NS // 100) * (counted(self) % 2)
+    return joints.stamp_ns - (NS // 2) * (counted(self) % 2)
 
 
 NAMES = ("__init__", "open", "read", "send", "close")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 import threading
 import time
 from collections.abc import Callable
@@ -45,6 +47,14 @@ def mutate(base: type, **changes: Callable[..., object]) -> type:
     for name, change in changes.items():
         setattr(made, name, method(name, change))
     return made
+
+
+_draws = itertools.count()
+
+
+def noise(scale: float) -> float:
+    """A random number; successive ones are at least `scale` apart, since by chance two could be too near to tell."""
+    return scale * (2 * (next(_draws) % 11) + random.random())
 
 
 def counted(self: Any) -> int:

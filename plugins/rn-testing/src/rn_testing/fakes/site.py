@@ -30,6 +30,7 @@ class PluginSite:
         self, distribution: str, source: str, *, version: str = "1.0", value: str | None = None, header: str = HEADER
     ) -> None:
         """Write a distribution with one plugin module that holds `source`."""
+        self.path.mkdir(exist_ok=True)
         module = distribution.lower().replace("-", "_") + "_plugin"
         (self.path / f"{module}.py").write_text(header + source)
         info = self.path / f"{distribution.replace('-', '_')}-{version}.dist-info"

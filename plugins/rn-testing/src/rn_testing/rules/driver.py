@@ -27,6 +27,8 @@ SEND_LIMIT_S = 0.2
 """Bound on the quickest of some `send`: it starts a motion and does not wait for its end."""
 STAMP_S = 1.0
 """How long a stamp may stay the same."""
+LOOKS = 11
+"""How many stamps are looked at, however long that takes."""
 OUTSIDE = 0.05
 """How far outside of the limits a joint may be measured [rad or m]."""
 
@@ -139,8 +141,9 @@ def _check_stamps(case: RobotCase) -> None:
     with opened(case) as driver:
         opened_ns = ros_clock()
         first_ns = newest_ns = read_state(case, driver).joints.stamp_ns
-        until_s = time.monotonic() + STAMP_S
-        while time.monotonic() < until_s and newest_ns - first_ns < 50_000_000:
+        until_s, looks = time.monotonic() + STAMP_S, 0
+        while looks < LOOKS or (time.monotonic() < until_s and newest_ns - first_ns < 50_000_000):
+            looks += 1
             stamp_ns = read_state(case, driver).joints.stamp_ns
             early_s, late_s = (opened_ns - stamp_ns) / 1e9, (stamp_ns - ros_clock()) / 1e9
             require(late_s <= FUTURE_S, f"a state is stamped {late_s:.3g} s in the future of ROS time")
