@@ -118,7 +118,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             stopped: list[str] = []
 
             async def move() -> None:
-                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.3}, duration_s=8.0))
+                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.25}, duration_s=8.0))
 
             async with anyio.create_task_group() as group:
                 group.start_soon(move)

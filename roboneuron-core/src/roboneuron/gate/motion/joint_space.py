@@ -77,7 +77,10 @@ class JointLimit:
         if self.braking is None:
             return self.velocity
         distance = self.upper - position if towards_upper else position - self.lower
-        return min(self.velocity, braking_velocity(distance, *self.braking, kept_s))
+        offset, deceleration = self.braking
+        if kept_s:  # after the step the joint brakes by commands, whose acceleration is limited too
+            deceleration = min(deceleration, self.acceleration)
+        return min(self.velocity, braking_velocity(distance, offset, deceleration, kept_s))
 
 
 def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
@@ -89,8 +92,7 @@ def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dic
         assert limits is not None
         fastest, braking = float(limits.acceleration[i]) * acceleration, None
         if limits.braking_offset is not None and limits.braking_deceleration is not None:
-            # A deceleration above the acceleration limit is not to be had.
-            braking = float(limits.braking_offset[i]), min(float(limits.braking_deceleration[i]), fastest)
+            braking = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
         found[name] = JointLimit(
             lower=float(limits.lower[i]),
             upper=float(limits.upper[i]),
