@@ -25,9 +25,9 @@ from rn_robot_fr3.world import JOINTS
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, JointCommand, JointSample, RobotProfile
 from roboneuron.errors import RefusedError
-from roboneuron.gate.joint_limits import joint_limits
 from roboneuron.gate.joints import check_joints
 from roboneuron.gate.motion import MotionLimiter, PathLimiter, motion_rules
+from roboneuron.gate.motion.joint_space import joint_limits
 from roboneuron.ros.messages import to_joint_trajectory
 
 

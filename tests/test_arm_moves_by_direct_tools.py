@@ -79,6 +79,19 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             assert "short" in text
             assert "holding" in text
 
+            for arguments in ({"dz_m": -0.5}, {"dy_m": 0.45}):  # into the table; through the zone to its other side
+                asked = await do("move_ee", **arguments, dry_run=True)
+                assert not asked["allowed"], asked
+                assert "short" in asked["reason"]
+                assert "holding" in asked["reason"]
+            assert "would enter 'person'" in asked["reason"]
+            state = (await do("read_joint_states"))["messages"][0]
+            assert "would enter 'person'" in await fail("move_ee", dy_m=0.45)
+            await do("move_joints", positions=dict(zip(state["name"][:7], state["position"][:7], strict=True)))
+            free = await do("move_ee", dx_m=0.03, dz_m=0.05, dry_run=True)
+            assert free["allowed"], free
+            assert free["sent"] == 0
+
             point = {"positions": [0.0], "time_from_start": 1.5}
             sent = await do("publish_joint_trajectory", message={"joint_names": ["fr3_joint1"], "points": [point]})
             assert sent["subscribers"] == 1
@@ -105,7 +118,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             stopped: list[str] = []
 
             async def move() -> None:
-                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.3}, duration_s=8.0))
+                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.25}, duration_s=8.0))
 
             async with anyio.create_task_group() as group:
                 group.start_soon(move)

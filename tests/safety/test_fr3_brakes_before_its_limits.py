@@ -14,10 +14,10 @@ from rn_robot_fr3.profile import profile
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, JointSample, PostureInspector
 from roboneuron.errors import RefusedError
-from roboneuron.gate.joint_limits import joint_limits as gate_limits
 from roboneuron.gate.joints import check_joints
 from roboneuron.gate.motion import MotionLimiter, motion_rules
-from roboneuron.gate.motion.joint_space import JointSpace, braking_velocity
+from roboneuron.gate.motion.joint_space import braking_velocity
+from roboneuron.gate.motion.joint_space import joint_limits as gate_limits
 
 
 def test_core_brakes_as_the_official_formula_does() -> None:
@@ -44,7 +44,8 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
     rules = motion_rules(free.model_copy(update={"on_position": "scale", "on_workspace": "scale"}), robot)
     rules = type(rules)(reactions=rules.reactions)  # the joints' limits alone
     limiter = MotionLimiter(rules, robot, controller.forward, controller.inspect)
-    space, position, speeds = JointSpace(robot.limits, 7), robot.home_rad.copy(), []
+    position, speeds = robot.home_rad.copy(), []
+    limit = gate_limits(robot)[ARM_JOINTS[1]]
     assert robot.limits is not None
     for step in range(150):
         asked = position.copy()
@@ -53,7 +54,7 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
         verdict = limiter.limit(JointCommand(names=ARM_JOINTS, position=asked, duration_s=1 / 30), sample, step / 30)
         assert isinstance(verdict.command, JointCommand), verdict.reason
         speed = (verdict.command.position[1] - position[1]) * 30
-        assert speed <= space.fastest(1, float(position[1]), True, 1 / 30) * (1 + 1e-5)
+        assert speed <= limit.fastest(float(position[1]), True, 1 / 30) * (1 + 1e-5)
         assert speed <= velocity_bounds(verdict.command.position)[1][1] + 1e-5
         position = verdict.command.position
         speeds.append(speed)

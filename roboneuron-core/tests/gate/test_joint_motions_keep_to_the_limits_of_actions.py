@@ -26,7 +26,7 @@ from roboneuron.contract import (
 from roboneuron.errors import ConfigurationError, RefusedError, UnsafeError
 from roboneuron.gate import AllowedEndpoint, Gate
 from roboneuron.gate.motion import Leg, PathLimiter, collision_of, motion_rules
-from roboneuron.gate.motion.reach import levers_m
+from roboneuron.gate.motion.path import levers_m
 
 PROFILE = RobotProfile(
     name="arm",

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roboneuron.gate.rate import RateLimit
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rate_hz=st.floats(0.1, 50), gaps=st.lists(st.floats(0, 0.5), max_size=80))
 def test_no_second_holds_more_calls_than_the_rate(clock, rate_hz: float, gaps: list[float]) -> None:
     limit = RateLimit(rate_hz, clock.monotonic)
@@ -60,7 +60,7 @@ def test_messages_still_to_be_sent_count_until_they_are_given_back(clock) -> Non
     assert limit.take() > 0.0
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     rate_hz=st.floats(0.2, 20),
     calls=st.lists(st.tuples(st.floats(0, 2), st.lists(st.floats(0, 3), min_size=1, max_size=20)), max_size=10),

@@ -141,14 +141,14 @@ def test_a_changed_allow_list_keeps_counting(make_gate, ask, endpoints) -> None:
 
 def test_a_latched_stop_refuses_all_motion_but_no_reading(make_gate, ask, endpoints) -> None:
     gate = make_gate()
-    gate.emergency_stop(who="viewer-1", role="viewer", reason="smoke")
+    gate.latch.latch(who="viewer-1", reason="smoke", audit=gate.audit)
     for name, value in (("velocity", FORWARD), ("enable", {"data": True})):
         with pytest.raises(RefusedError, match="latched by viewer-1: smoke"):
             gate.check(ask(endpoints[name], value))
     with pytest.raises(RefusedError):
         gate.check_running()
     assert gate.check(ask(endpoints["scan"])).may_send
-    gate.reset_emergency_stop(who="boss", role="admin")
+    gate.latch.reset(who="boss", role="admin", audit=gate.audit)
     gate.check_running()
     assert gate.check(ask(endpoints["velocity"], FORWARD)).may_send
 

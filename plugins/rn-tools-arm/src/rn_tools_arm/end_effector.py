@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from pydantic import Field
 
 from rn_tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
 from rn_tools_arm.options import ArmToolsOptions
-from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Pose, RobotProfile
+from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Action, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest
 from roboneuron.server.arguments import Number, check_names, take_flag
@@ -89,6 +91,7 @@ class EndEffectorMover:
             context, "move_ee", self._exposed, [self._message(np.zeros(6), order.gripper_open or 0.0)], arguments,
             dry_run=dry_run,
         )  # fmt: skip
+        request = replace(request, predict=lambda: self._predict(order))
         halt = threading.Event()
         return await context.run(
             lambda stage: self._move(order, request, stage, halt), on_cancel=halt.set, on_leave=halt.set
@@ -127,7 +130,7 @@ class EndEffectorMover:
         gate, exposed = self._gate, self._exposed
         if request.dry_run:
             reason = self._why_not()
-            verdict = gate.check(request)
+            verdict = gate.check(replace(request, predict=None) if reason else request)
             return self._answer(order, 0, 0.0, None, None, allowed=verdict.allowed and not reason,
                                 reason=reason or verdict.reason, dry_run=True)  # fmt: skip
         gate.check_free(exposed)
@@ -138,7 +141,8 @@ class EndEffectorMover:
             details=self._where,
         )  # fmt: skip
         if not sent.verdict.may_send:
-            return self._answer(order, 0, 0.0, None, None, allowed=True, reason="", dry_run=True)
+            verdict = sent.verdict
+            return self._answer(order, 0, 0.0, None, None, allowed=verdict.allowed, reason=verdict.reason, dry_run=True)
         return self._answer(order, sent.messages, sent.duration_s, line.start, gate.ee_pose(exposed, 1.0))
 
     def _actions(self, line: _Line, stage: Stage) -> Iterator[Command]:
@@ -149,35 +153,67 @@ class EndEffectorMover:
             NotReadyError: control or the gripper is not measured.
             StateError: the arm did not get there.
         """
-        gate, exposed, options, order = self._gate, self._exposed, self._options, line.order
+        gate, exposed, order = self._gate, self._exposed, line.order
         start = line.start = gate.ee_pose(exposed, _MEASURED_S)
         gripper = order.gripper_open if order.gripper_open is not None else self._opening()
-        began_s, sent = time.monotonic(), 0
-        least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
-        while True:
-            elapsed_s = time.monotonic() - began_s
-            measured = gate.ee_pose(exposed, _POSE_S)
-            goal_error = remaining(start, order, 1.0, measured)
-            reached = np.linalg.norm(goal_error[:3]) < _REACHED_M and np.linalg.norm(goal_error[3:]) < _REACHED_RAD
-            if reached and elapsed_s >= least_s:
-                return
-            if elapsed_s > least_s + _SETTLE_S:
-                raise self._short(goal_error)
-            fraction = min(1.0, (elapsed_s + STEP_S) / order.duration_s)
-            delta = limit_step(remaining(start, order, fraction, measured), options.ee_speed_m_s, options.ee_turn_rad_s)
-            sent += 1
-            if sent % 5 == 1:
-                stage(f"{100 * fraction:.0f} % of the way, {np.linalg.norm(goal_error[:3]) * 1000:.0f} mm to go")
+        began_s = time.monotonic()
+        deltas = self._deltas(
+            order, start, lambda: gate.ee_pose(exposed, _POSE_S), lambda: time.monotonic() - began_s, self._note
+        )
+        for sent, (fraction, distance_m, delta) in enumerate(deltas):
+            if sent % 5 == 0:
+                stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
             yield Command(message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S)
 
-    def _short(self, error: F64) -> RoboNeuronError:
+    def _predict(self, order: Order) -> None:
+        """Raise RefusedError unless control would bring the arm there; its path is that of `_actions`."""
+        joints = self._gate.joints(self._exposed, _MEASURED_S)
+        if joints is None:
+            raise RefusedError("The joints are not measured, so that the path cannot be judged.")
+        gripper = self._opening() if order.gripper_open is None else order.gripper_open
+        steps = count()
+        with closing(self._gate.predicted(self._exposed, joints)) as arm:
+
+            def note() -> str:
+                return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
+
+            try:
+                for _, _, delta in self._deltas(order, arm.pose(), arm.pose, lambda: next(steps) * STEP_S, note):
+                    arm.follow(Action.from_vector(np.append(delta, min(1.0, max(0.0, gripper)))), STEP_S)
+            except StateError as error:
+                raise RefusedError(error.message) from error
+
+    def _deltas(
+        self, order: Order, start: Pose, pose: Callable[[], Pose], elapsed_s: Callable[[], float],
+        note: Callable[[], str],
+    ) -> Iterator[tuple[float, float, F64]]:  # fmt: skip
+        """Steps towards the end of the line by the present pose: share of the line, distance left [m], delta (6,).
+
+        Raises:
+            RefusedError, StateError: the arm does not get there; `note` says what control does.
+        """
+        options = self._options
+        least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
+        while True:
+            now_s, here = elapsed_s(), pose()
+            error = remaining(start, order, 1.0, here)
+            left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            if left_m < _REACHED_M and left_rad < _REACHED_RAD and now_s >= least_s:
+                return
+            if now_s > least_s + _SETTLE_S:
+                text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
+                told = note()
+                if told.startswith("holding"):
+                    raise RefusedError(f"{text}; control is {told}")
+                raise StateError(f"{text} ({told or 'no report of control'}).")
+            fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
+            delta = limit_step(remaining(start, order, fraction, here), options.ee_speed_m_s, options.ee_turn_rad_s)
+            yield fraction, left_m, delta
+
+    def _note(self) -> str:
+        """What control is doing, in its own words."""
         report = self._host.supervisor.view("control").report
-        note = report.note if report is not None else ""
-        off_m, off_rad = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
-        text = f"The end effector is {off_m * 1000:.1f} mm and {off_rad:.3f} rad short"
-        if note.startswith("holding"):
-            return RefusedError(f"{text}; control is {note}")
-        return StateError(f"{text} ({note or 'no report of control'}).")
+        return report.note if report is not None else ""
 
     def _where(self) -> str:
         try:

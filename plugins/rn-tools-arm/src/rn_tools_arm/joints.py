@@ -12,8 +12,7 @@ from pydantic import Field
 
 from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
-from roboneuron.gate.acceleration import shortest_s
-from roboneuron.gate.joint_limits import JointLimit, joint_limits
+from roboneuron.gate.motion.joint_space import JointLimit, joint_limits, shortest_s
 from roboneuron.server.arguments import (
     Number,
     Schema,
@@ -149,7 +148,7 @@ class _JointMover:
         commands = self._commands(target, request.messages[0], duration_s, stage)
         sent = gate.play(exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt)
         if not sent.verdict.may_send:
-            return self._answer(target, joints, 0.0, True, "", True)
+            return self._answer(target, joints, 0.0, sent.verdict.allowed, sent.verdict.reason, True)
         return self._answer(target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False)
 
     def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
@@ -157,7 +156,7 @@ class _JointMover:
         needed = [0.5]
         for name, value in target.items():
             limit, start = self._limits[name], _position(joints, name)
-            distance, fastest = abs(value - start), limit.fastest(start, value)
+            distance, fastest = abs(value - start), limit.fastest(value, value > start)
             needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
             needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
         return max(needed)

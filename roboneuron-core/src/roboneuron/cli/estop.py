@@ -45,7 +45,7 @@ def run(arguments: Namespace) -> int:
     who = f"{getpass.getuser()} at the command line"
     if arguments.status:
         state = latch.read_state()
-        cause = f" by {state.who}: {state.reason}" if state.who else ""
+        cause = f" by {state.cause}" if state.cause else ""
         print(f"The emergency stop is {f'latched{cause}' if state.latched else 'not latched'} ({latch.path}).")
         return int(state.latched)
     if arguments.reset:
@@ -74,7 +74,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
             "The emergency stop is released by a person in a terminal, and this is none.",
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
         )
-    print(f"Latched{f' by {state.who}: {state.reason}' if state.who else ''} ({latch.path}).")
+    print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
     print("Look at the robot. A policy that still has an instruction goes on with it.")
     try:
         answer = input("Release the emergency stop? [y/N] ")

@@ -1,10 +1,12 @@
-"""The audit: one JSON line per decision, rotated by size, closed to motion when it cannot be written."""
+"""Audit log: one JSON line per decision, rotated by size. Nothing moves while it cannot be written."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -17,21 +19,23 @@ from roboneuron.errors import RefusedError
 from roboneuron.log_files import make_log_directory
 
 FILE_NAME = "audit.jsonl"
-"""Name of the newest file in the state directory; older ones end in .1, .2 ..."""
+"""Name of the current file in the state directory; rotated ones end in .1, .2 ..."""
 _MAX_ARGUMENTS = 4096
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AuditRecord:
-    """One decision.
+    """One decision of the gate, of control's limits or of the emergency stop.
 
     Attributes:
         who, role: the client.
-        tool, robot, endpoint: what was asked for.
-        arguments: as the agent sent them; cut when long.
-        verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run), "latched".
-        rule, reason: why not.
-        clamped: what was changed.
+        tool, robot, endpoint: the tool that was called, and the endpoint of which robot it uses.
+        arguments: as the client sent them, truncated.
+        verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held" (control);
+            "latched" or "restored" (emergency stop).
+        rule, reason: the limit or rule that applied, and a sentence with the numbers.
+        clamped: values that were changed, as "path: asked -> sent".
     """
 
     who: str
@@ -47,16 +51,16 @@ class AuditRecord:
 
 
 class AuditLog:
-    """Appends records to a file; several processes may share it. Safe from any thread. Construction touches nothing."""
+    """Append-only file of records, shared by several processes. Thread-safe. The constructor opens nothing."""
 
     def __init__(
         self, path: Path, clock_ns: Callable[[], int], *, max_bytes: int = 10_000_000, backups: int = 5
     ) -> None:
         """Args:
-        path: the newest file; its directory is created with the first record.
+        path: the current file; its directory is created with the first record.
         clock_ns: wall-clock time [ns].
-        max_bytes: size after which a new file is begun.
-        backups: how many older files are kept, at least 1.
+        max_bytes: size at which the file is rotated.
+        backups: how many rotated files are kept, at least 1.
         """
         self.path = path
         self._clock_ns = clock_ns
@@ -69,14 +73,14 @@ class AuditLog:
 
     @property
     def failed(self) -> bool:
-        """Whether the last record could not be written; motion that is under way has to end then."""
+        """Whether writing the last record failed; a motion in progress has to end then."""
         return self._failed
 
     def write(self, record: AuditRecord) -> None:
-        """Append a record; it is with the operating system when this returns, not necessarily on the disk.
+        """Append a record: handed to the operating system when this returns, not necessarily synced to the disk.
 
         Raises:
-            RefusedError: it cannot be written.
+            RefusedError: it cannot be written; nothing may move.
         """
         line = self._to_line(record)
         with self._lock:
@@ -91,8 +95,15 @@ class AuditLog:
                 ) from error
             self._failed = False
 
+    def write_if_possible(self, record: AuditRecord) -> None:
+        """`write` for what must happen without a record too, such as an emergency stop; a failure is logged."""
+        try:
+            self.write(record)
+        except RefusedError as error:
+            log.error("%s by %s (%s) is not in the audit: %s", record.tool, record.who, record.verdict, error)
+
     def close(self) -> None:
-        """Close the file; a later record opens it again."""
+        """Close the file; the next record reopens it."""
         with self._lock:
             self._close()
 
@@ -111,10 +122,10 @@ class AuditLog:
         written = os.write(self._descriptor, line)
         self._torn = written != len(line)
         if self._torn:
-            raise OSError(28, "only a part of the record fitted")
+            raise OSError(errno.ENOSPC, "only a part of the record was written")
 
     def _open(self) -> None:
-        """Open the newest file, again when it was moved or deleted meanwhile."""
+        """Open the current file; reopen it after it was rotated or deleted by another process."""
         if self._descriptor >= 0:
             with contextlib.suppress(FileNotFoundError):
                 ours, there = os.fstat(self._descriptor), os.stat(self.path)
@@ -126,7 +137,7 @@ class AuditLog:
         self._descriptor = os.open(self.path, flags, 0o640)
 
     def _rotate(self, coming: int) -> None:
-        """Begin a new file; the lock keeps two processes from rotating at once."""
+        """Rotate the files; the lock keeps two processes from doing so at once."""
         with _locked(self.path.with_name(self.path.name + ".lock")):
             if self.path.exists() and self.path.stat().st_size + coming > self._max_bytes:
                 for number in range(self._backups, 0, -1):
@@ -142,31 +153,23 @@ class AuditLog:
         entry: dict[str, Any] = {
             "time": datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
             "time_ns": now_ns,
-            **{name: value for name, value in _fields(record) if value},
+            # Not `asdict`, which copies the arguments.
+            **{name: value for name in record.__dataclass_fields__ if (value := getattr(record, name))},
         }
         if "arguments" in entry:
             entry["arguments"] = _bounded(record.arguments)
         return json.dumps(entry, separators=(",", ":"), allow_nan=False).encode("ascii") + b"\n"
 
 
-def _fields(record: AuditRecord) -> Iterator[tuple[str, Any]]:
-    """The record's fields; unlike `asdict` it does not copy what is inside."""
-    return ((name, getattr(record, name)) for name in record.__dataclass_fields__)
-
-
 def _bounded(arguments: Mapping[str, Any]) -> Any:
-    """The arguments, or their beginning when they are long, or the reason why they cannot be written."""
+    """The arguments as JSON values, truncated, or the reason why they cannot be serialized."""
     try:
-        text = json.dumps(arguments, separators=(",", ":"), default=_fallback)
+        text = json.dumps(arguments, separators=(",", ":"), default=lambda value: f"<{type(value).__name__}>")
         if len(text) > _MAX_ARGUMENTS:
             return {"length": len(text), "begins": text[:_MAX_ARGUMENTS]}
         return json.loads(text, parse_constant=str)  # JSON has no NaN
     except (ValueError, TypeError, RecursionError) as error:
         return {"unwritable": type(error).__name__}
-
-
-def _fallback(value: Any) -> str:
-    return f"<{type(value).__name__}>"
 
 
 @contextlib.contextmanager

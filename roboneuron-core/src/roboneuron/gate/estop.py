@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
@@ -50,6 +50,11 @@ class LatchState:
     reason: str = ""
     time_ns: int = 0
     restored: int = 0
+
+    @property
+    def cause(self) -> str:
+        """Who and why in words; empty when nobody is known."""
+        return f"{self.who}: {self.reason}" if self.who else ""
 
 
 class EmergencyStopLatch:
@@ -120,12 +125,12 @@ class EmergencyStopLatch:
         except OSError as error:
             log.error("The emergency stop's file %s cannot be written: %s; latched here.", self.path, error.strerror)
 
-    def check(self) -> None:
-        """Raise RefusedError while latched."""
+    def check(self, note: str = "") -> None:
+        """Raise RefusedError while latched; `note` follows the cause."""
         if self.is_latched():
-            state = self.read_state()
-            cause = f" by {state.who}: {state.reason}" if state.who else ""
-            raise RefusedError(f"The emergency stop is latched{cause}.", hint="It has to be reset first.")
+            cause = self.read_state().cause
+            by = f" by {cause}" if cause else ""
+            raise RefusedError(f"The emergency stop is latched{by}.{note}", hint="It has to be reset first.")
 
     def read_state(self) -> LatchState:
         """Who latched it and why, as far as the file tells."""
@@ -148,16 +153,27 @@ class EmergencyStopLatch:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return LatchState(latched=True)
 
-    def latch(self, *, who: str, reason: str) -> LatchState:
-        """`press`, and have it outlive a loss of power; returns the first cause when it is latched already.
+    def latch(self, *, who: str, reason: str, audit: AuditLog | None = None) -> LatchState:
+        """`press`, have it outlive a loss of power, and record it; returns the first cause when it is latched already.
+
+        Args:
+            who: a client, person or signal.
+            reason: may be empty.
+            audit: gets a record, if it can be written; no stop is withheld for want of one.
 
         Raises:
             UnsafeError: as `press`.
         """
-        state = self.press(who=who, reason=reason)
-        with suppress(OSError):  # it stops all the same
-            self._sync()
-        return state
+        try:
+            state = self.press(who=who, reason=reason)
+            with suppress(OSError):  # it stops all the same
+                _sync(self.path)
+                _sync(self.path.parent)
+            return state
+        finally:
+            record = AuditRecord(who=who[:200], role="", tool="emergency_stop", verdict="latched", reason=reason[:500])
+            if audit is not None:
+                audit.write_if_possible(record)
 
     def press(self, *, who: str, reason: str) -> LatchState:
         """Forbid motion for every process; waits for no disk, so that it may be called where nothing may block.
@@ -192,23 +208,14 @@ class EmergencyStopLatch:
             with suppress(OSError):
                 self._seen = _identity(self.path)
             return
-        told = {"who": state.who, "reason": state.reason, "time_ns": state.time_ns, "restored": state.restored}
-        text = json.dumps(told)
+        told = {name: value for name, value in asdict(state).items() if name != "latched"}
         try:
             made = os.fstat(descriptor)
             self._seen = made.st_dev, made.st_ino
             with suppress(OSError):
-                os.write(descriptor, text.encode())
+                os.write(descriptor, json.dumps(told).encode())
         finally:
             os.close(descriptor)
-
-    def _sync(self) -> None:
-        descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        _sync_directory(self.path.parent)
 
     def reset(self, *, who: str, role: str, audit: AuditLog) -> None:
         """Allow motion again; nothing moves by itself.
@@ -222,16 +229,10 @@ class EmergencyStopLatch:
             RefusedError: the role has no right to, or the audit cannot be written.
             StateError: the latch cannot be removed; it stays latched.
         """
-        allowed = has_role(role, ADMIN)
-        record = AuditRecord(
-            who=who,
-            role=role,
-            tool="reset_emergency_stop",
-            verdict="allowed" if allowed else "refused",
-            rule="" if allowed else "role",
-        )
-        audit.write(record)
-        if not allowed:
+        rule = "" if has_role(role, ADMIN) else "role"
+        verdict = "refused" if rule else "allowed"
+        audit.write(AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule))
+        if rule:
             raise RefusedError(f"Resetting the emergency stop needs the role {ADMIN!r}, {who!r} has {role!r}.")
         with self._lock:
             try:
@@ -241,7 +242,7 @@ class EmergencyStopLatch:
                     if stat.S_ISDIR(os.lstat(self.path).st_mode):  # the next reset could not replace it
                         raise IsADirectoryError(0, "it is a directory")
                     os.replace(self.path, self._reset_path)
-                    _sync_directory(self.path.parent)
+                    _sync(self.path.parent)
             except OSError as error:
                 text = f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
                 raise StateError(text) from error
@@ -254,8 +255,9 @@ def _identity(path: Path) -> tuple[int, int]:
     return found.st_dev, found.st_ino
 
 
-def _sync_directory(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def _sync(path: Path) -> None:
+    """Have a file or directory on the disk."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
     finally:

@@ -10,16 +10,15 @@ import numpy as np
 
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
-from roboneuron.gate.acceleration import Speeds, shortest_s
 from roboneuron.gate.fields import is_message, type_name_of
-from roboneuron.gate.joint_limits import JointLimit
+from roboneuron.gate.motion.joint_space import SLACK, JointLimit, Speeds, shortest_s
 from roboneuron.gate.motion.path import Leg
 
-TOLERANCE = 1e-6
-"""Relative; limits are printed and parsed as decimals on the way."""
 MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
 """Messages that can be checked."""
+_SAME = 1e-3
+"""A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre."""
 
 
 def joint_commands(message: Any) -> Iterator[Any]:
@@ -55,228 +54,170 @@ def check_joints(
     Raises:
         RefusedError: says which joint, what was asked, what is allowed.
     """
-    before = joints
-    motion = _Motion(limits, joints)
+    motion = _JointMotion(limits, joints)
     legs: list[Leg] = []
     for index, message in enumerate(messages):
-        lasts_s = durations_s[index] if durations_s else None
         step = f"steps[{index}]: " if len(messages) > 1 else ""
         try:
-            if hasattr(message, "points"):
-                made = _check_trajectory(limits, message, before)
-                _check_time(message, lasts_s)
-            else:
-                made = _check_state(limits, message, before, lasts_s)
-            is_steady = _is_velocity(message)
-            motion.go(made, before, is_steady=is_steady)
-            is_last = index + 1 == len(messages)
-            if not is_steady and (is_last or (lasts_s or 0.0) > sum(leg.duration_s or 0.0 for leg in made)):
-                motion.end(made, before)
+            made = motion.follow(
+                message, durations_s[index] if durations_s else None, is_last=index + 1 == len(messages)
+            )
         except RefusedError as error:
             raise RefusedError(f"{step}{error.message}", hint=error.hint) from error
         legs += [replace(leg, where=f"{step}{leg.where}") for leg in made]
-        if index + 1 < len(messages):
-            before = _after(message, before, lasts_s)
     return legs
 
 
-class _Motion:
-    """Which velocities the joints can have after the commands so far: accelerations that these imply."""
+class _JointMotion:
+    """Where the joints are after the commands so far, and which velocities they can have there."""
 
     def __init__(self, limits: Mapping[str, JointLimit], joints: JointSample | None) -> None:
         self._limits = limits
+        self._position: dict[str, float] = {}
         self._speeds: dict[str, Speeds] = {}
-        if joints is not None and joints.velocity is not None:
-            for name, velocity in zip(joints.names, joints.velocity.tolist(), strict=True):
-                if np.isfinite(velocity):
-                    self._speeds[name] = Speeds(velocity, velocity)
+        self._distance: dict[str, float] = {}
+        self._is_measured = joints is not None
+        if joints is not None:
+            self._position.update(zip(joints.names, joints.position.tolist(), strict=True))
+            if joints.velocity is not None:
+                measured = zip(joints.names, joints.velocity.tolist(), strict=True)
+                self._speeds.update({name: Speeds(v, v) for name, v in measured if np.isfinite(v)})
 
-    def go(self, legs: Sequence[Leg], before: JointSample | None, *, is_steady: bool) -> None:
-        """Follow a command's legs; raises RefusedError for a joint that cannot."""
-        starts: dict[str, float] = {}
-        for leg in legs:
-            if not leg.duration_s:
-                continue
-            starts = starts or dict(zip(leg.names, _measured(leg.names, before), strict=True))
-            for index, name in enumerate(leg.names):
-                limit, end = self._limits[name], float(leg.position[index])
-                old = self._speeds.get(name, Speeds(0.0, 0.0))
-                distance = end - starts[name]
-                starts[name] = end
-                if is_steady:
-                    mean = distance / leg.duration_s
-                    room = limit.acceleration * leg.duration_s * (1.0 + TOLERANCE)
-                    new = Speeds(mean, mean) if old.low - room <= mean <= old.high + room else None
-                else:
-                    new = old.after(distance, leg.duration_s, limit.acceleration, limit.velocity)
-                    if new is not None and leg.velocity is not None:
-                        new = new.at(float(leg.velocity[index]), TOLERANCE)
-                if new is None:
-                    raise _too_hard(leg.where, name, limit, distance)
-                self._speeds[name] = new
+    def follow(self, message: Any, lasts_s: float | None, *, is_last: bool) -> list[Leg]:
+        """The legs of one command; raises RefusedError for the first limit that it breaks."""
+        is_trajectory = hasattr(message, "points")
+        is_velocity = not is_trajectory and not len(message.position)
+        legs = []
+        for leg in self._trajectory(message, lasts_s) if is_trajectory else self._state(message, lasts_s):
+            if leg.duration_s is not None:
+                self._go(leg, is_velocity)
+            self._position.update(zip(leg.names, leg.position.tolist(), strict=True))
+            legs.append(leg)
+        is_followed_at_once = not is_last and (lasts_s or 0.0) <= sum(leg.duration_s or 0.0 for leg in legs)
+        if legs[-1].duration_s and legs[-1].velocity is None and not (is_velocity or is_followed_at_once):
+            self._rest(legs[-1])
+        return legs
 
-    def end(self, legs: Sequence[Leg], before: JointSample | None) -> None:
-        """The joints rest after the last leg, unless it states a velocity; raises as `go`."""
-        if not legs or not legs[-1].duration_s or legs[-1].velocity is not None:
-            return
-        last = legs[-1]
-        starts = _measured(last.names, before) if len(legs) == 1 else legs[-2].position.tolist()
-        for index, name in enumerate(last.names):
-            if self._speeds[name].at(0.0, TOLERANCE) is None:
-                distance = float(last.position[index]) - starts[index]
-                raise _too_hard(last.where, name, self._limits[name], distance, " and rest there")
-            self._speeds[name] = Speeds(0.0, 0.0)
-
-
-def _too_hard(where: str, name: str, limit: JointLimit, distance: float, end: str = "") -> RefusedError:
-    return RefusedError(
-        f"{where}{name} cannot go {abs(distance):.4g} in that time{end}: its acceleration is at most "
-        f"{limit.acceleration:.4g} per second squared.",
-        hint=f"From rest to rest it needs {shortest_s(distance, limit.acceleration):.2f} s.",
-    )
-
-
-def _is_velocity(message: Any) -> bool:
-    """Whether this is a JointState of velocities only."""
-    return not hasattr(message, "points") and not len(message.position)
-
-
-def _check_time(trajectory: Any, lasts_s: float | None) -> None:
-    last = trajectory.points[-1].time_from_start
-    needed_s = last.sec + last.nanosec * 1e-9
-    if lasts_s is not None and lasts_s < needed_s * (1.0 - TOLERANCE):
-        raise RefusedError(f"The trajectory takes {needed_s:g} s, its step only {lasts_s:g} s.")
-
-
-def _check_state(
-    limits: Mapping[str, JointLimit], message: Any, before: JointSample | None, lasts_s: float | None
-) -> list[Leg]:
-    """A JointState: its values, and that positions can be reached or velocities be kept for as long as it lasts."""
-    names = _check_names(limits, message.name)
-    if not (len(message.position) or len(message.velocity)):
-        raise RefusedError("The joint command holds neither positions nor velocities.")
-    _check_arrays(limits, names, message.position, message.velocity, (), message.effort, "")
-    if lasts_s is None and _is_velocity(message):
-        raise RefusedError("It is not known how long the velocities last, so that they cannot be checked.")
-    ends = _targets(message, before, lasts_s or 0.0)
-    leg = Leg(names=tuple(names), position=np.array(ends), duration_s=lasts_s)
-    if lasts_s is None:
-        return [leg]
-    for name, start, end in zip(names, _measured(names, before), ends, strict=True):
-        limit = limits[name]
-        if not limit.lower - TOLERANCE <= end <= limit.upper + TOLERANCE:
-            raise RefusedError(
-                f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {limit.lower:.4g} .. {limit.upper:.4g}."
-            )
-        _check_pace(limit, name, start, end, lasts_s, "")
-    return [leg]
-
-
-def _targets(message: Any, before: JointSample | None, lasts_s: float) -> list[float]:
-    """Where the joints of a JointState are when it has lasted that long."""
-    if len(message.position):
-        return [float(value) for value in message.position]
-    starts = _measured(message.name, before)
-    return [start + float(velocity) * lasts_s for start, velocity in zip(starts, message.velocity, strict=True)]
-
-
-def _after(message: Any, before: JointSample | None, lasts_s: float | None) -> JointSample | None:
-    """The joints when a command has ended; `before` holds those that it does not name."""
-    if before is None:
-        return None
-    if hasattr(message, "points"):
-        names, ends = list(message.joint_names), [float(value) for value in message.points[-1].positions]
-    else:
-        names, ends = list(message.name), _targets(message, before, lasts_s or 0.0)
-    known = dict(zip(before.names, before.position.tolist(), strict=True)) | dict(zip(names, ends, strict=True))
-    return JointSample(names=tuple(known), position=np.array(list(known.values())), stamp_ns=before.stamp_ns)
-
-
-def _check_pace(limit: JointLimit, name: str, start: float, end: float, within_s: float, where: str) -> None:
-    needed = abs(end - start) / within_s if within_s > 0.0 else 0.0
-    allowed = limit.fastest(start, end)
-    if needed > allowed * (1.0 + TOLERANCE):
-        near = " so near to its limit" if allowed < limit.velocity else ""
-        raise RefusedError(
-            f"{where}{name} would move at {needed:.4g} per second, allowed is {allowed:.4g}{near}.",
-            hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
-        )
-
-
-def _check_names(limits: Mapping[str, JointLimit], names: Sequence[str]) -> Sequence[str]:
-    if not names:
-        raise RefusedError("The joint command names no joints.")
-    unknown = [name for name in names if name not in limits]
-    if unknown:
-        raise RefusedError(f"Joint {unknown[0][:60]!r} is unknown, the robot has {', '.join(limits)}.")
-    if len(set(names)) != len(names):
-        raise RefusedError("The joint command names a joint twice.")
-    return names
-
-
-def _check_arrays(
-    limits: Mapping[str, JointLimit], names: Sequence[str],
-    position: Any, velocity: Any, acceleration: Any, effort: Any, where: str,
-) -> None:  # fmt: skip
-    for word, values in (
-        ("position", position),
-        ("velocity", velocity),
-        ("acceleration", acceleration),
-        ("effort", effort),
-    ):
-        if len(values) not in (0, len(names)):
-            raise RefusedError(f"{where}{word} has {len(values)} values for {len(names)} joints.")
-        for name, value in zip(names, values, strict=False):
-            limit = limits[name]
-            high = limit.upper if word == "position" else getattr(limit, word)
-            low = limit.lower if word == "position" else -high
-            slack = TOLERANCE * max(1.0, abs(low), abs(high)) if high < float("inf") else 0.0
-            if not low - slack <= value <= high + slack:
-                raise RefusedError(f"{where}{word} of {name} is {value:.4g}, allowed is {low:.4g} .. {high:.4g}.")
-
-
-def _check_trajectory(limits: Mapping[str, JointLimit], message: Any, joints: JointSample | None) -> list[Leg]:
-    names = _check_names(limits, message.joint_names)
-    if not 1 <= len(message.points) <= MAX_POINTS:
-        raise RefusedError(f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}.")
-    before, before_s = _measured(names, joints), 0.0
-    legs = []
-    for index, point in enumerate(message.points):
-        where = f"points[{index}]: "
-        if len(point.positions) != len(names):
-            raise RefusedError(f"{where}{len(point.positions)} positions for {len(names)} joints.")
-        _check_arrays(limits, names, point.positions, point.velocities, point.accelerations, point.effort, where)
-        at_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
-        if not (at_s > before_s or (index == 0 and at_s == 0.0 and _is_same(before, point.positions))):
-            raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
-        for name, start, end in zip(names, before, point.positions, strict=True):
-            _check_pace(limits[name], name, start, end, at_s - before_s, where)
-        velocity = np.array(point.velocities) if len(point.velocities) else None
-        legs.append(
-            Leg(
-                names=tuple(names),
+    def _trajectory(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
+        names = self._names(message.joint_names)
+        if not 1 <= len(message.points) <= MAX_POINTS:
+            raise RefusedError(f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}.")
+        before_s = 0.0
+        for index, point in enumerate(message.points):
+            where = f"points[{index}]: "
+            if len(point.positions) != len(names):
+                raise RefusedError(f"{where}{len(point.positions)} positions for {len(names)} joints.")
+            self._check(names, point.positions, point.velocities, point.accelerations, point.effort, where)
+            at_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
+            starts = self._starts(names)
+            is_start = index == 0 and np.allclose(starts, point.positions, rtol=0.0, atol=_SAME)
+            if not (at_s > before_s or (at_s == 0.0 and is_start)):
+                raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
+            yield Leg(
+                names=names,
                 position=np.array(point.positions),
                 duration_s=at_s - before_s,
-                velocity=velocity,
+                velocity=np.array(point.velocities) if len(point.velocities) else None,
                 where=where if len(message.points) > 1 else "",
             )
+            before_s = at_s
+        if lasts_s is not None and lasts_s < before_s * (1.0 - SLACK):
+            raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
+
+    def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
+        """A JointState: positions that are reached within the time, or velocities that are kept for it."""
+        names = self._names(message.name)
+        if not (len(message.position) or len(message.velocity)):
+            raise RefusedError("The joint command holds neither positions nor velocities.")
+        self._check(names, message.position, message.velocity, (), message.effort, "")
+        ends = np.array(message.position)
+        if not len(ends):
+            if lasts_s is None:
+                raise RefusedError("It is not known how long the velocities last, so that they cannot be checked.")
+            ends = np.array(self._starts(names)) + np.array(message.velocity) * lasts_s
+            for name, end in zip(names, ends.tolist(), strict=True):
+                limit = self._limits[name]
+                if not limit.allows("position", end):
+                    allowed = f"{limit.lower:.4g} .. {limit.upper:.4g}"
+                    raise RefusedError(f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {allowed}.")
+        yield Leg(names=names, position=ends, duration_s=lasts_s)
+
+    def _go(self, leg: Leg, is_velocity: bool) -> None:
+        """Whether the joints can follow a leg: their velocities, and the accelerations that these imply."""
+        starts, duration_s = self._starts(leg.names), leg.duration_s
+        if not duration_s:
+            return
+        for index, (name, start, end) in enumerate(zip(leg.names, starts, leg.position.tolist(), strict=True)):
+            limit, distance = self._limits[name], end - start
+            self._distance[name] = distance
+            mean, allowed = distance / duration_s, limit.fastest(end, end > start)
+            if abs(mean) > allowed * (1.0 + SLACK):
+                near = " so near to its limit" if allowed < limit.velocity else ""
+                raise RefusedError(
+                    f"{leg.where}{name} would move at {abs(mean):.4g} per second, allowed is {allowed:.4g}{near}.",
+                    hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
+                )
+            old = self._speeds.get(name, Speeds(0.0, 0.0))
+            if is_velocity:
+                room = limit.acceleration * duration_s * (1.0 + SLACK)
+                new = Speeds(mean, mean) if old.at(mean, room) else None
+            else:
+                new = old.after(distance, duration_s, limit.acceleration, limit.velocity)
+                if new is not None and leg.velocity is not None:
+                    new = new.at(float(leg.velocity[index]))
+            if new is None:
+                raise self._too_hard(leg, name, distance)
+            self._speeds[name] = new
+
+    def _rest(self, leg: Leg) -> None:
+        """The joints rest at the end of this leg."""
+        for name in leg.names:
+            if self._speeds[name].at(0.0) is None:
+                raise self._too_hard(leg, name, self._distance[name], " and rest there")
+            self._speeds[name] = Speeds(0.0, 0.0)
+
+    def _too_hard(self, leg: Leg, name: str, distance: float, end: str = "") -> RefusedError:
+        acceleration = self._limits[name].acceleration
+        return RefusedError(
+            f"{leg.where}{name} cannot go {abs(distance):.4g} in that time{end}: its acceleration is at most "
+            f"{acceleration:.4g} per second squared.",
+            hint=f"From rest to rest it needs {shortest_s(distance, acceleration):.2f} s.",
         )
-        before, before_s = list(point.positions), at_s
-    return legs
 
+    def _names(self, names: Sequence[str]) -> tuple[str, ...]:
+        if not names:
+            raise RefusedError("The joint command names no joints.")
+        unknown = [name for name in names if name not in self._limits]
+        if unknown:
+            raise RefusedError(f"Joint {unknown[0][:60]!r} is unknown, the robot has {', '.join(self._limits)}.")
+        if len(set(names)) != len(names):
+            raise RefusedError("The joint command names a joint twice.")
+        return tuple(names)
 
-def _measured(names: Sequence[str], joints: JointSample | None) -> list[float]:
-    if joints is None:
-        raise RefusedError(
-            "The joints were not measured yet, so that the first step cannot be checked.", hint="Start the robot first."
-        )
-    known = dict(zip(joints.names, joints.position, strict=True))
-    missing = [name for name in names if name not in known]
-    if missing:
-        raise RefusedError(f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be checked.")
-    return [float(known[name]) for name in names]
+    def _check(
+        self, names: Sequence[str], position: Any, velocity: Any, acceleration: Any, effort: Any, where: str
+    ) -> None:
+        arrays = {"position": position, "velocity": velocity, "acceleration": acceleration, "effort": effort}
+        for quantity, values in arrays.items():
+            if len(values) not in (0, len(names)):
+                raise RefusedError(f"{where}{quantity} has {len(values)} values for {len(names)} joints.")
+            for name, value in zip(names, values, strict=False):
+                limit = self._limits[name]
+                if not limit.allows(quantity, value):
+                    low, high = limit.range(quantity)
+                    raise RefusedError(
+                        f"{where}{quantity} of {name} is {value:.4g}, allowed is {low:.4g} .. {high:.4g}."
+                    )
 
-
-def _is_same(before: Sequence[float], positions: Sequence[float]) -> bool:
-    """A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre."""
-    return all(abs(a - b) <= 1e-3 for a, b in zip(before, positions, strict=True))
+    def _starts(self, names: Sequence[str]) -> list[float]:
+        if not self._is_measured:
+            raise RefusedError(
+                "The joints were not measured yet, so that the first step cannot be checked.",
+                hint="Start the robot first.",
+            )
+        missing = [name for name in names if name not in self._position]
+        if missing:
+            raise RefusedError(
+                f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be checked."
+            )
+        return [self._position[name] for name in names]

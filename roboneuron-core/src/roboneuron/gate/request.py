@@ -62,6 +62,8 @@ class GateRequest:
         joints: newest measured joints; needed by endpoints that are `joint_limited`.
         durations_s: how long each message lasts [s], where that is known; joints must get there within that time.
         send_at_s: when each message is to be sent, in seconds from now; empty when `messages` go out at once.
+        predict: computes a motion that `messages` do not hold, for a dry run; raises RefusedError, best a LimitError,
+            when it would not come to its end.
         dry_run: only answer what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
@@ -76,6 +78,7 @@ class GateRequest:
     joints: JointSample | None = None
     durations_s: tuple[float, ...] = ()
     send_at_s: tuple[float, ...] = ()
+    predict: Callable[[], None] | None = None
     dry_run: bool = False
     repeated: bool = False
 
@@ -98,7 +101,7 @@ class Verdict:
         dry_run: it was only a question; nothing may be sent even if allowed.
         reason: why not; empty when allowed.
         rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering", "joints", the name
-            of a limit of `[limits]`, "rate", "emergency_stop", "audit"); empty when allowed.
+            of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit"); empty when allowed.
         clamped: values that were changed in the messages.
     """
 

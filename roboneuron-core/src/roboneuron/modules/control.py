@@ -237,10 +237,6 @@ class ControlModule(Module):
                 self._shadow.answer(answer)
             return
         outcome: JointCommand | Hold | None = answer
-        longest_s = self.config.robot.server_timeout_s
-        if isinstance(outcome, JointCommand) and outcome.duration_s > longest_s:  # it would outlive a frozen control
-            reason = f"The controller's command lasts {outcome.duration_s:.3g} s, at most {longest_s:g} s are allowed."
-            outcome = Hold(code="long_command", reason=reason)
         if isinstance(outcome, JointCommand):
             outcome = self._guard.judge(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)

@@ -43,6 +43,7 @@ class MotionGuard:
             controller.forward,
             inspect,
             immediate=config.control.command == "joint_state",
+            longest_s=config.robot.server_timeout_s,  # a longer command would outlive a frozen control
         )
         self._robot = profile.name
         self._status = status
@@ -118,7 +119,7 @@ class MotionGuard:
             verdict=outcome,
             robot=self._robot,
             endpoint="action",
-            rule=", ".join(verdict.acted) or "finite",
+            rule=", ".join(verdict.acted) or (verdict.command.code if isinstance(verdict.command, Hold) else ""),
             reason=verdict.reason,
             arguments={**numbers, "counts": dict(self._counts)},
         )

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import Hold, JointCommand, JointSample, Pose
 from roboneuron.errors import RoboNeuronError
-from roboneuron.gate.motion.boxes import angle_rad, distance_m
+from roboneuron.gate.motion.task_space import angle_rad, distance_m
 from roboneuron.modules.status import ModuleStatus
 from roboneuron.ros.messages import commands_from_trajectory, joints_from_message, pose_from_message
 from roboneuron.ros.qos import NEWEST

@@ -24,6 +24,7 @@ from roboneuron.server.access import holder_of, watching
 from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
+from roboneuron.server.emergency import SafetyReports
 from roboneuron.server.events import Events
 from roboneuron.server.features import Features
 from roboneuron.server.host import Host
@@ -36,7 +37,6 @@ from roboneuron.server.pauses import shorten_pauses
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources
-from roboneuron.server.safety_reports import SafetyReports
 from roboneuron.server.stopping import emergency_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.supervisor import Supervisor
@@ -159,7 +159,7 @@ class Application:
         self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.on_health(self._diagnostics.publish)
         self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
-        self.direct = DirectPath(self.loop, self.loop.emergency_stop.file)
+        self.direct = DirectPath(self.loop)
         self.tools = ToolRegistry(
             [
                 *observing_tools(self.loop, self.started_s),

@@ -11,18 +11,20 @@ import shlex
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
+from roboneuron.errors import NotReadyError, UnsafeError
 from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
-from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
+from roboneuron.server.events import Events
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.supervisor.view import ModuleView
 
 log = logging.getLogger(__name__)
 _ROUNDS = 3
@@ -62,7 +64,7 @@ class EmergencyStop:
         """Who latched it and why, as far as that is known; empty when it is not latched."""
         state = self._latch.read_state()
         restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
-        return f"{state.who}: {state.reason}{restored if state.restored else ''}" if state.latched and state.who else ""
+        return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
 
     def take_restored(self) -> int:
         """How often the latch's file has vanished without a reset, when that is news: recorded, 0 the next time.
@@ -73,10 +75,7 @@ class EmergencyStop:
         is_news, self._restored = restored > self._restored, restored
         if not is_news:
             return 0
-        try:
-            self.audit.write(AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored"))
-        except RefusedError as error:
-            log.error("The restored emergency stop is not in the audit: %s", error)
+        self.audit.write_if_possible(AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored"))
         return restored
 
     def prepare(self, namespace: str) -> None:
@@ -129,11 +128,10 @@ class EmergencyStop:
         """
         unwritten: UnsafeError | None = None
         try:
-            self._latch.latch(who=who, reason=reason)
+            self._latch.latch(who=who, reason=reason, audit=self.audit)
         except UnsafeError as error:
             unwritten = error
         confirmed, silent, took_s = self._tell(namespace, True)
-        self._record_stop(who, reason)
         if unwritten is not None:
             raise unwritten
         if silent:
@@ -167,14 +165,6 @@ class EmergencyStop:
             for _ in range(_ROUNDS):
                 self._supervisor.link.on_executor(lambda: None)
 
-    def _record_stop(self, who: str, reason: str) -> None:
-        """A stop is never withheld for want of a record."""
-        record = AuditRecord(who=who, role="", tool="emergency_stop", verdict="latched", reason=reason)
-        try:
-            self.audit.write(record)
-        except RefusedError as error:
-            log.error("The emergency stop is not in the audit: %s", error)
-
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
         started_s = time.monotonic()
         self.prepare(namespace)
@@ -202,3 +192,30 @@ class EmergencyStop:
             if view.phase == "running"
             and (view.report is None or view.report.received_s < since_s or view.report.emergency_stop is not latched)
         ]
+
+
+class SafetyReports:
+    """Reports faults that change no module's health: a latch file that vanished, requests of foreign nodes.
+
+    It looks whenever the modules are looked at; used by the watching thread only.
+    """
+
+    def __init__(self, supervisor: Supervisor, emergency_stop: EmergencyStop, events: Events) -> None:
+        self._supervisor = supervisor
+        self._emergency_stop = emergency_stop
+        self._events = events
+        self._foreign: dict[ModuleKind, int] = {}
+
+    def look(self) -> Sequence[ModuleView]:
+        """The modules; faults are reported on the way."""
+        if restored := self._emergency_stop.take_restored():
+            what = "its file vanished without a reset and was written again; everything stays stopped"
+            self._events.tell_fault("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
+        views = self._supervisor.views()
+        for view in views:
+            count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
+            if count > self._foreign.get(view.kind, 0) and view.report is not None:
+                told = {"explanation": view.report.metrics.get(FOREIGN_REQUEST, ""), "count": count}
+                self._events.tell_fault(view.kind, FOREIGN_REQUEST, told)
+            self._foreign[view.kind] = count
+        return views

@@ -1,13 +1,16 @@
-"""Limits of the joints: position, velocity (also where it depends on position), acceleration."""
+"""Limits of the joints: position, velocity (also where it depends on position), acceleration, effort."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import JointLimits
+from roboneuron.contract import RobotProfile
+from roboneuron.gate.motion.rules import MotionRules
 
 F64 = NDArray[np.float64]
 
@@ -34,77 +37,123 @@ def braking_velocity(distance: float, offset: float, deceleration: float, step_s
     return max(0.0, math.sqrt(max(0.0, reach * reach - offset * offset + 2.0 * deceleration * distance)) - reach)
 
 
+def shortest_s(distance: float, acceleration: float) -> float:
+    """Least time from rest to rest over a distance."""
+    return 2.0 * math.sqrt(abs(distance) / acceleration)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JointLimit:
+    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has none.
+
+    Attributes:
+        braking: offset and deceleration of a joint that is slower near a position limit; None for others.
+    """
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    acceleration: float = math.inf
+    effort: float = math.inf
+    braking: tuple[float, float] | None = None
+
+    def allows(self, quantity: str, value: float) -> bool:
+        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits; False for NaN."""
+        low, high = self.range(quantity)
+        return low - SLACK * max(1.0, abs(low)) <= value <= high + SLACK * max(1.0, abs(high))
+
+    def range(self, quantity: str) -> tuple[float, float]:
+        """Lowest and highest value of a quantity."""
+        if quantity == "position":
+            return self.lower, self.upper
+        high: float = getattr(self, quantity)
+        return -high, high
+
+    def fastest(self, position: float, towards_upper: bool, kept_s: float = 0.0) -> float:
+        """Fastest velocity >= 0 at a position towards one of the limits, when it is kept for that long.
+
+        For a whole step ask with its start and duration; whether one may end at a position, with that and 0.
+        """
+        if self.braking is None:
+            return self.velocity
+        distance = self.upper - position if towards_upper else position - self.lower
+        offset, deceleration = self.braking
+        if kept_s:  # after the step the joint brakes by commands, whose acceleration is limited too
+            deceleration = min(deceleration, self.acceleration)
+        return min(self.velocity, braking_velocity(distance, offset, deceleration, kept_s))
+
+
+def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
+    """Limits by joint name: the arm's, in the shares that `rules` allow, and the gripper's travel."""
+    found: dict[str, JointLimit] = {}
+    velocity, acceleration = (rules.velocity_fraction, rules.acceleration_fraction) if rules is not None else (1.0, 1.0)
+    limits = profile.limits
+    for i, name in enumerate(profile.arm_joints if limits is not None else ()):
+        assert limits is not None
+        fastest, braking = float(limits.acceleration[i]) * acceleration, None
+        if limits.braking_offset is not None and limits.braking_deceleration is not None:
+            braking = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
+        found[name] = JointLimit(
+            lower=float(limits.lower[i]),
+            upper=float(limits.upper[i]),
+            velocity=float(limits.velocity[i]) * velocity,
+            acceleration=fastest,
+            effort=float(limits.effort[i]),
+            braking=braking,
+        )
+    if profile.gripper is not None:
+        low, high = sorted((profile.gripper.closed_position, profile.gripper.open_position))
+        found[profile.gripper.joint] = JointLimit(lower=low, upper=high)
+    return found
+
+
 class JointSpace:
-    """The limits of n arm joints in use; stateless. Arrays are float64 (n,) in the order of the profile's arm joints.
+    """The limits of n arm joints on commands that follow each other; stateless. Arrays are float64 (n,).
 
     Plain floats inside: for seven joints a loop over them is faster than the calls into numpy.
     """
 
-    def __init__(self, limits: JointLimits | None, joints: int, *, velocity: float = 1.0, acceleration: float = 1.0):
-        """Args:
-        limits: the profile's; None for no limits.
-        joints: n.
-        velocity, acceleration: share of these limits in use.
+    def __init__(self, names: Sequence[str], limits: Sequence[JointLimit]) -> None:
+        self._names, self._limits = names, limits
+        self._acceleration = [limit.acceleration for limit in limits]
+
+    def pace(self, start: F64, change: F64, step_s: float) -> Iterator[tuple[str, float, str]]:
+        """Limits of position and velocity that `change` in `step_s` breaks: name, share that is allowed, reason.
+
+        A joint that starts outside of its positions may move back in, and any way towards them.
         """
-        free = [math.inf] * joints
-        self.lower = [-math.inf] * joints if limits is None else limits.lower.tolist()
-        self.upper = free if limits is None else limits.upper.tolist()
-        self.velocity = free if limits is None else (limits.velocity * velocity).tolist()
-        self.acceleration = free if limits is None else (limits.acceleration * acceleration).tolist()
-        self._braking: list[tuple[float, float]] | None = None
-        if limits is not None and limits.braking_offset is not None and limits.braking_deceleration is not None:
-            # A deceleration above the acceleration limit is not to be had.
-            deceleration = np.minimum(limits.braking_deceleration, limits.acceleration * acceleration)
-            self._braking = list(zip(limits.braking_offset.tolist(), deceleration.tolist(), strict=True))
-
-    def fastest(self, joint: int, start: float, towards_upper: bool, step_s: float) -> float:
-        """Fastest velocity >= 0 of a joint that leaves `start` towards one of its limits and goes on for `step_s`."""
-        if self._braking is None:
-            return self.velocity[joint]
-        distance = self.upper[joint] - start if towards_upper else start - self.lower[joint]
-        return min(self.velocity[joint], braking_velocity(distance, *self._braking[joint], step_s))
-
-    def position_share(self, start: F64, change: F64) -> tuple[float, int]:
-        """Largest share of `change` that stays within the positions, and the joint that sets it.
-
-        A joint that starts outside may move back in, and any way towards it.
-        """
-        share, joint = 1.0, -1
-        for i, (begin, way) in enumerate(zip(start.tolist(), change.tolist(), strict=True)):
-            end = begin + way
-            limit = self.upper[i] if way > 0.0 else self.lower[i]
-            beyond = end - limit if way > 0.0 else limit - end
-            if way != 0.0 and beyond > SLACK * max(1.0, abs(limit)):
-                possible = max(0.0, (limit - begin) / way)
-                if possible < share:
-                    share, joint = possible, i
-        return share, joint
-
-    def velocity_share(self, start: F64, change: F64, step_s: float) -> tuple[float, int]:
-        """Largest share of `change` that every joint can go in `step_s`, and the joint that sets it."""
-        share, joint = 1.0, -1
-        for i, (begin, way) in enumerate(zip(start.tolist(), change.tolist(), strict=True)):
-            if abs(way) <= _NOTHING:
+        position, velocity = (1.0, ""), (1.0, "")
+        for name, limit, begin, way in zip(self._names, self._limits, start.tolist(), change.tolist(), strict=True):
+            length = abs(way)
+            if length == 0.0:
                 continue
-            possible = self.fastest(i, begin, way > 0.0, step_s) * step_s / abs(way)
-            if possible < share * (1.0 - SLACK):
-                share, joint = possible, i
-        return share, joint
+            left = limit.upper - begin if way > 0.0 else begin - limit.lower
+            if length - left > SLACK * max(1.0, abs(limit.upper if way > 0.0 else limit.lower)):
+                share = max(0.0, left / length)
+                if share < position[0]:
+                    position = share, f"{name} would go to {begin + way:.4f}, beyond its limits."
+            share = limit.fastest(begin, way > 0.0, step_s) * step_s / length
+            if length > _NOTHING and share < velocity[0] * (1.0 - SLACK):
+                speed = length / step_s
+                velocity = share, f"{name} would move at {speed:.4g} per second, allowed is {speed * share:.4g}."
+        for quantity, (share, reason) in (("position", position), ("velocity", velocity)):
+            if reason:
+                yield quantity, share, reason
 
-    def reach(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, int]:
+    def reach(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
         """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and the limiting joint.
 
         It is a share of `wanted`, so that the direction is kept, whenever such a share is within reach. When the arm
         is too fast to turn or stop at once, it is the velocity on the way from `before` to `wanted` that is.
 
         Returns:
-            Velocity, and -1 when it is `wanted` itself.
+            Velocity, and "" when it is `wanted` itself.
         """
         if self.is_reachable(before, wanted, passed_s):
-            return wanted, -1
+            return wanted, ""
         least, most, joint = 0.0, 1.0, 0
         for i, (old, new) in enumerate(zip(before.tolist(), wanted.tolist(), strict=True)):
-            room = self.acceleration[i] * passed_s
+            room = self._acceleration[i] * passed_s
             if new == 0.0:
                 least = math.inf if abs(old) > room else least
                 continue
@@ -113,15 +162,56 @@ class JointSpace:
             if high < most:
                 most, joint = high, i
         if least <= most:
-            return wanted * most, joint
+            return wanted * most, self._names[joint]
         change = (wanted - before).tolist()
-        parts = [self.acceleration[i] * passed_s / abs(c) if c else math.inf for i, c in enumerate(change)]
+        parts = [self._acceleration[i] * passed_s / abs(c) if c else math.inf for i, c in enumerate(change)]
         part = min(parts)
-        return before + (wanted - before) * min(1.0, part), parts.index(part)
+        return before + (wanted - before) * min(1.0, part), self._names[parts.index(part)]
 
     def is_reachable(self, before: F64, velocity: F64, passed_s: float) -> bool:
         """Whether the joints can have `velocity` so soon after `before`."""
         return all(
-            abs(new - old) <= self.acceleration[i] * passed_s * (1.0 + 2 * SLACK) + 1e-12
-            for i, (old, new) in enumerate(zip(before.tolist(), velocity.tolist(), strict=True))
+            abs(new - old) <= most * passed_s * (1.0 + 2 * SLACK) + 1e-12
+            for most, old, new in zip(self._acceleration, before.tolist(), velocity.tolist(), strict=True)
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Velocities that one joint may have at a time, lowest to highest."""
+
+    low: float
+    high: float
+
+    def after(self, distance: float, duration_s: float, acceleration: float, velocity: float) -> Speeds | None:
+        """Velocities after `distance` in `duration_s`, from any of these; None when it cannot be covered.
+
+        With |acceleration| <= a, a joint that leaves with u covers the distance d in T if |d - u T| <= a T^2 / 2. It
+        ends fastest when it first brakes and then accelerates: u + a (2 sqrt(T^2 / 2 + (d - u T) / a) - T), slowest
+        the other way round. Both fall with u, so the ends of the interval give the ends of the next one.
+
+        Args:
+            distance: signed [rad or m].
+            duration_s: above 0.
+            acceleration: limit [per s^2]; may be infinite.
+            velocity: limit at the end [per s].
+        """
+        if math.isinf(acceleration):
+            return Speeds(-velocity, velocity)
+        mean, limit = distance / duration_s, acceleration * (1.0 + SLACK)
+        reach = limit * duration_s / 2.0
+        low, high = max(self.low, mean - reach), min(self.high, mean + reach)
+        if low > high:
+            return None
+
+        def change(excess: float) -> float:
+            """Of the velocity, by braking and accelerating: `excess` is the mean above the velocity at the start."""
+            root = math.sqrt(max(0.0, duration_s * duration_s / 2.0 + excess * duration_s / limit))
+            return limit * (2.0 * root - duration_s)
+
+        slowest, fastest = max(high - change(high - mean), -velocity), min(low + change(mean - low), velocity)
+        return Speeds(slowest, fastest) if slowest <= fastest else None
+
+    def at(self, velocity: float, tolerance: float = SLACK) -> Speeds | None:
+        """Only this velocity; None when it is not among them."""
+        return Speeds(velocity, velocity) if self.low - tolerance <= velocity <= self.high + tolerance else None

@@ -1,9 +1,10 @@
-"""Every limit on one command of control, in order; the answer says what to send and which limits acted."""
+"""Motion limiter of the control module: applies every limit of `[limits]` to each joint command before it is sent."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,58 +13,68 @@ from numpy.typing import NDArray
 from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.joint_space import JointSpace
-from roboneuron.gate.motion.reach import Reach
+from roboneuron.gate.motion.command import Setpoint, Verdict, pick, pick_others
+from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
+from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.selection import check_gripper, pick, pick_others
-from roboneuron.gate.motion.setpoint import CommandedMotion
-from roboneuron.gate.motion.task_space import TaskSpace
-from roboneuron.gate.motion.verdict import Motion, Verdict
+from roboneuron.gate.motion.task_space import Motion, TaskSpace
 
 F64 = NDArray[np.float64]
 
 LOST, LOST_M = 0.1, 0.02
-"""Farther [rad; m of slides] than this from where the commands should have brought it, the arm does not follow them."""
+"""Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint counts as lost."""
 _MEMORY_S = 1.0
-"""After so long without a command the arm rests, and is met where it is measured."""
+"""Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
 _SHORTEST_S = 1e-3
 _HALVINGS = 6
-"""How finely the share of a step is sought that stays out of a zone: to 1/64."""
+"""Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
+_RESERVE = 0.98
+"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve in task space."""
 
 
 class _Stop(Exception):
-    """A limit ends the command: its reaction is "hold" or "refuse", or no part of the command is within the limits."""
+    """A limit rejects the command: its reaction is "hold" or "refuse", or no scaled command is within the limits."""
 
     def __init__(self, name: str, reason: str, *, refuse: bool = False) -> None:
         super().__init__(reason)
-        self.name, self.reason, self.refuse = name, reason, refuse
+        self.name, self.refuse = name, refuse
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Step:
-    """What one command is judged by; arrays are float64 (n,) in the order of the profile's arm joints.
+    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm joints.
 
-    `others` are names and positions of joints beside the arm's, as commanded or else as measured.
+    Attributes:
+        measured: joint positions.
+        start, before: setpoint and commanded velocity when the command takes over.
+        target: commanded positions; scaled in place.
+        passed_s: time since the last command, at most `duration_s`: what is available for accelerating.
+        others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
+        is_lost: the measured joints do not follow the setpoint.
+        acted, reason: the limits that scaled the command, and the last one in a sentence.
     """
 
     measured: F64
     start: F64
     before: F64
-    asked: F64
+    target: F64
     duration_s: float
     passed_s: float
     stamp_ns: int
     others: tuple[tuple[str, ...], F64]
+    is_lost: bool
+    asked: Motion | None = None
     acted: list[str] = field(default_factory=list)
     reason: str = ""
 
 
 class MotionLimiter:
-    """Limits successive commands of one arm; keeps where they should have brought it. Used from one thread.
+    """Limits successive joint commands of one arm relative to the last setpoint. Used from one thread.
 
-    A command leaves `limit` as asked, shortened ("scale"), as a reason to hold, or not at all ("refuse"). Shortening
-    keeps the direction through joint space from where the arm was commanded so far; only an arm that is too fast to
-    turn or stop at once first changes its velocity towards the asked one. What cannot be judged is a reason to hold.
+    A command is passed unchanged, scaled, answered with a hold, or rejected ("refuse"), by the reaction configured for
+    the limit. Scaling keeps the direction in joint space from the setpoint; only when the acceleration limits allow
+    no velocity in that direction, the velocity changes from the present one towards the commanded one. A command that
+    cannot be evaluated is answered with a hold.
 
     Args:
         rules: numbers and reactions.
@@ -71,6 +82,8 @@ class MotionLimiter:
         forward: TCP pose of a posture; raises UnsafeError.
         inspect: the same with all that `Posture` holds; raises likewise.
         immediate: commands carry no time, so that the robot may jump to them (JointState commands).
+        longest_s: longest duration of a command; a longer one is answered with a hold, as nothing could end it if
+            control froze.
     """
 
     def __init__(
@@ -81,218 +94,214 @@ class MotionLimiter:
         inspect: Callable[[JointSample], Posture],
         *,
         immediate: bool = False,
+        longest_s: float = math.inf,
     ) -> None:
         self._rules = rules
         self._names = profile.arm_joints
-        self._gripper = profile.gripper
-        self._joints = JointSpace(
-            profile.limits,
-            len(profile.arm_joints),
-            velocity=rules.velocity_fraction,
-            acceleration=rules.acceleration_fraction,
-        )
+        self._limits = joint_limits(profile, rules)
+        self._joints = JointSpace(self._names, [self._limits.get(name, JointLimit()) for name in self._names])
         self._task = TaskSpace(rules)
         self._reach = Reach(profile)
         slides = prismatic_joints(profile.urdf)
-        self._lost = np.array([LOST_M if name in slides else LOST for name in profile.arm_joints])
+        self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
         self._checks_way = profile.collision is not None
         self._forward, self._inspect = forward, inspect
-        self._immediate = immediate
-        self._commanded = CommandedMotion(immediate=immediate)
+        self._immediate, self._longest_s = immediate, longest_s
+        self._sent: Setpoint | None = None
 
     def limit(self, command: JointCommand, joints: JointSample, now_s: float) -> Verdict:
-        """Judge a command that is to be sent now.
+        """Apply all limits to a command that is to be sent now.
 
         Args:
             command: of the controller; `duration_s` is the time until the next one is expected, or longer.
             joints: newest measured joints.
             now_s: monotonic time.
         """
-        step: _Step | None = None
-        asked: Motion | None = None
-        lost = False
-        try:
-            check_gripper(command, self._names, self._gripper)
-            step, lost = self._step(command, joints, now_s)
-            here = start = self._forward(self._sample(step, step.measured))
-            if step.start is not step.measured:
-                start = self._forward(self._sample(step, step.start))
-            there = self._look(step, step.asked)
-            asked = self._motion(step, here, start, there, step.asked)
-            target = self._pace(step, asked)
-            if step.acted:
-                there = self._look(step, target)
-            target, there = self._place(step, here, target, there)
-            sent = self._motion(step, here, start, there, target) if step.acted else asked
-            self._check(step, here, there, sent, target)
-        except UnsafeError as error:
-            hold = Hold(code="unsafe_command", reason=str(error))
-            return Verdict(command=hold, reason=str(error), share=0.0, asked=asked, reference_lost=lost)
-        except _Stop as stop:
-            assert step is not None
-            acted = tuple(dict.fromkeys((*step.acted, stop.name)))
-            outcome = None if stop.refuse else Hold(code=f"limit_{stop.name}", reason=stop.reason)
-            return Verdict(
-                command=outcome, acted=acted, reason=stop.reason, share=0.0, asked=asked, reference_lost=lost
+        if command.duration_s > self._longest_s:
+            reason = (
+                f"The controller's command lasts {command.duration_s:.3g} s, at most {self._longest_s:g} s are allowed."
             )
-        way, wanted = target - step.start, step.asked - step.start
-        self._commanded.go(step.start, way, step.duration_s, now_s)
-        length = float(np.linalg.norm(wanted))
+            return Verdict(command=Hold(code="long_command", reason=reason), reason=reason, share=0.0)
+        step: _Step | None = None
+        try:
+            step = self._step(command, joints, now_s)
+            wanted = step.target - step.start
+            sent = self._shorten(step)
+        except (UnsafeError, _Stop) as error:
+            acted, hold = (), Hold(code="unsafe_command", reason=str(error))
+            if isinstance(error, _Stop):
+                acted, hold = (*(step.acted if step else ()), error.name), replace(hold, code=f"limit_{error.name}")
+            return Verdict(
+                command=None if isinstance(error, _Stop) and error.refuse else hold,
+                acted=tuple(dict.fromkeys(acted)),
+                reason=hold.reason,
+                share=0.0,
+                asked=step.asked if step else None,
+                reference_lost=step is not None and step.is_lost,
+            )
+        way, length = step.target - step.start, float(np.linalg.norm(wanted))
+        self._go(step, now_s)
         return Verdict(
-            command=self._command(command, target, step),
+            command=self._command(command, step),
             acted=tuple(dict.fromkeys(step.acted)),
             reason=step.reason,
             share=float(np.linalg.norm(way)) / length if step.acted and length > 0.0 else 1.0,
-            asked=asked,
+            asked=step.asked,
             sent=sent,
-            reference_lost=lost,
+            reference_lost=step.is_lost,
         )
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
-        """Somebody else has sent this command, at the monotonic time `sent_s`: it is the reference for the next one.
+        """Take a command that another process sent, at the monotonic time `sent_s`, as the setpoint.
 
-        One that cannot be understood leaves no reference, so that the arm is met where it is measured.
+        After an invalid one there is no setpoint: the next command starts from the measured joints.
         """
         try:
-            step, _ = self._step(command, joints, sent_s)
+            self._go(self._step(command, joints, sent_s), sent_s)
         except UnsafeError:
-            self._commanded.forget()
-        else:
-            self._commanded.go(step.start, step.asked - step.start, step.duration_s, sent_s)
+            self._sent = None
 
     def rest(self, joints: JointSample | None, now_s: float) -> None:
-        """The arm was told to hold where it is measured; None: nobody knows where it is."""
-        try:
-            if joints is not None:
-                self._commanded.rest(pick(joints.names, joints.position, self._names), now_s)
-                return
-        except UnsafeError:
-            pass
-        self._commanded.forget()
+        """Take the measured joints as the setpoint, at rest; None: they are not known."""
+        self._sent = None
+        if joints is None:
+            return
+        with suppress(UnsafeError):
+            here = pick(joints.names, joints.position, self._names)
+            self._sent = Setpoint(
+                start=here, way=np.zeros_like(here), duration_s=1.0, sent_s=now_s, immediate=self._immediate
+            )
 
-    def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> tuple[_Step, bool]:
+    def _go(self, step: _Step, now_s: float) -> None:
+        way = step.target - step.start
+        self._sent = Setpoint(
+            start=step.start, way=way, duration_s=step.duration_s, sent_s=now_s, immediate=self._immediate
+        )
+
+    def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> _Step:
         measured = pick(joints.names, joints.position, self._names)
-        asked = pick(command.names, command.position, self._names)
+        target = pick(command.names, command.position, self._names)
         if not (math.isfinite(command.duration_s) and command.duration_s > 0.0):
             raise UnsafeError(f"A command lasts {command.duration_s} s, expected a finite time > 0.")
-        since_s = self._commanded.passed_s(now_s)
-        commanded = self._commanded.at(now_s) if since_s < _MEMORY_S else None
-        lost = commanded is not None and bool((np.abs(commanded[0] - measured) > self._lost).any())
-        start, before = (measured, np.zeros_like(measured)) if commanded is None or lost else commanded
+        since_s = math.inf if self._sent is None else now_s - self._sent.sent_s
+        start, before, is_lost = measured, np.zeros_like(measured), False
+        if self._sent is not None and since_s < _MEMORY_S:
+            position, velocity = self._sent.at(now_s)
+            is_lost = bool((np.abs(position - measured) > self._lost).any())
+            if not is_lost:
+                start, before = position, velocity
         duration_s = max(_SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s)
-        step = _Step(
+        return _Step(
             measured=measured,
             start=start,
             before=before,
-            asked=asked,
+            target=target,
             duration_s=duration_s,
             passed_s=max(0.0, min(since_s, duration_s)),
             stamp_ns=joints.stamp_ns,
-            others=pick_others(command, joints, self._names),
-        )
-        return step, lost
-
-    def _look(self, step: _Step, position: F64) -> Posture:
-        return self._inspect(self._sample(step, position))
-
-    def _sample(self, step: _Step, position: F64) -> JointSample:
-        names, others = step.others
-        if not names:
-            return JointSample(names=self._names, position=position, stamp_ns=step.stamp_ns)
-        return JointSample(
-            names=(*self._names, *names), position=np.concatenate([position, others]), stamp_ns=step.stamp_ns
+            others=pick_others(command, joints, self._names, self._limits),
+            is_lost=is_lost,
         )
 
-    def _broken(self, step: _Step, here: Pose, target: F64, there: Posture) -> Iterator[tuple[str, str]]:
+    def _shorten(self, step: _Step) -> Motion:
+        """Scale the step's target to within the limits; returns the motion that is sent, raises _Stop."""
+        here = start = self._forward(self._sample(step, step.measured))
+        if step.start is not step.measured:
+            start = self._forward(self._sample(step, step.start))
+        there = self._look(step, step.target)
+        step.asked = self._motion(step, here, start, there)
+        self._pace(step, step.asked)
+        if step.acted:
+            there = self._look(step, step.target)
+        there = self._place(step, here, there)
+        if not step.acted:
+            return step.asked
+        # Check what would be sent once more: scaling for one limit may violate another one.
+        sent, way = self._motion(step, here, start, there), step.target - step.start
+        for name, _, reason in self._joints.pace(step.start, way, step.duration_s):
+            raise _Stop(name, f"No part of the command is within the limits: {reason}")
+        if not self._joints.is_reachable(step.before, way / step.duration_s, step.passed_s):
+            raise _Stop("acceleration", f"The arm is too fast for a limit before it: {step.reason}")
+        for name, _, reason in self._task.excess(sent):
+            raise _Stop(name, reason)
+        for name, reason in self._broken(step, here, there):
+            raise _Stop(name, reason)
+        return sent
+
+    def _pace(self, step: _Step, asked: Motion) -> None:
+        """Scale the step to the limits of joints, TCP step and TCP speed."""
+        way, share = step.target - step.start, 1.0
+        for name, part, reason in self._joints.pace(step.start, way, step.duration_s):
+            self._act(step, name, reason)
+            share = min(share, part)
+        for name, times, reason in self._task.excess(asked):
+            self._act(step, name, reason)
+            share = min(share, _RESERVE / times)
+        velocity, joint = self._joints.reach(step.before, way * (share / step.duration_s), step.passed_s)
+        if joint:
+            self._act(step, "acceleration", f"{joint} would change its velocity faster than its acceleration allows.")
+        if step.acted:
+            step.target = step.start + velocity * step.duration_s
+
+    def _place(self, step: _Step, here: Pose, there: Posture) -> Posture:
+        """Scale the step to the limits of place, to 1/64 of its length; returns the posture at its end."""
+        broken = list(self._broken(step, here, there))
+        if not broken:
+            return there
+        for name, reason in broken:
+            self._act(step, name, reason)
+        good, bad, way = 0.0, 1.0, step.target - step.start
+        for _ in range(_HALVINGS):
+            middle = (good + bad) / 2.0
+            step.target = step.start + middle * way
+            if next(self._broken(step, here, self._look(step, step.target)), None) is None:
+                good = middle
+            else:
+                bad = middle
+        step.target = step.start + good * way
+        return self._look(step, step.target)
+
+    def _broken(self, step: _Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
+        """Limits of place that the path from the measured posture to the step's target violates: name, reason."""
+
         def look_here() -> Posture:
             return self._look(step, step.measured)
 
         yield from self._task.places(here, there, look_here)
         if not self._checks_way:
             return
-        way = target - step.measured
+        way = step.target - step.measured
         count = self._reach.count(self._names, np.abs(way))
         for number in range(1, count):
             passed = self._look(step, step.measured + way * (number / count))
-            for reason in self._task.collisions(passed, look_here):
-                yield "collision", reason
+            for broken in self._task.collisions(passed, look_here):
+                yield broken
                 return
 
-    def _motion(self, step: _Step, here: Pose, start: Pose, there: Posture, target: F64) -> Motion:
-        speed = float(np.abs(target - step.start).max(initial=0.0)) / step.duration_s
-        return self._task.motion(here, start, there, step.duration_s, speed)
-
     def _act(self, step: _Step, name: str, reason: str) -> None:
-        """Note that a limit is broken; raises _Stop unless its reaction is to scale."""
+        """Record a violated limit; raises _Stop unless its reaction is to scale."""
         reaction = self._rules.reactions[name]
         if reaction != "scale":
             raise _Stop(name, reason, refuse=reaction == "refuse")
         step.acted.append(name)
         step.reason = reason
 
-    def _pace(self, step: _Step, asked: Motion) -> F64:
-        """The farthest posture on the way to the asked one that the limits of joints, step and speed allow."""
-        way = step.asked - step.start
-        share, joint = self._joints.position_share(step.start, way)
-        if joint >= 0:
-            self._act(step, "position", f"{self._names[joint]} would go to {step.asked[joint]:.4f}, beyond its limits.")
-        slower, joint = self._joints.velocity_share(step.start, way, step.duration_s)
-        if joint >= 0:
-            speed = abs(way[joint]) / step.duration_s
-            self._act(
-                step,
-                "velocity",
-                f"{self._names[joint]} would move at {speed:.4g} per second, allowed is {speed * slower:.4g}.",
-            )
-        share = min(share, slower)
-        for name, part, reason in self._task.pace(asked):
-            self._act(step, name, reason)
-            share = min(share, part)
-        velocity, joint = self._joints.reach(step.before, way * (share / step.duration_s), step.passed_s)
-        if joint >= 0:
-            name = self._names[joint]
-            self._act(step, "acceleration", f"{name} would change its velocity faster than its acceleration allows.")
-        return step.start + velocity * step.duration_s if step.acted else step.asked
+    def _motion(self, step: _Step, here: Pose, start: Pose, there: Posture) -> Motion:
+        speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
+        return self._task.motion(here, start, there, step.duration_s, speed)
 
-    def _place(self, step: _Step, here: Pose, target: F64, there: Posture) -> tuple[F64, Posture]:
-        """The farthest posture on the way to `target` that is nowhere the arm must not be, within 1/64 of the way."""
-        broken = list(self._broken(step, here, target, there))
-        if not broken:
-            return target, there
-        for name, reason in broken:
-            self._act(step, name, reason)
-        good, bad = 0.0, 1.0
-        best, way = step.start, target - step.start
-        for _ in range(_HALVINGS):
-            middle = (good + bad) / 2.0
-            position = step.start + middle * way
-            if next(self._broken(step, here, position, self._look(step, position)), None) is None:
-                good, best = middle, position
-            else:
-                bad = middle
-        return best, self._look(step, best)
+    def _look(self, step: _Step, position: F64) -> Posture:
+        return self._inspect(self._sample(step, position))
 
-    def _check(self, step: _Step, here: Pose, there: Posture, sent: Motion, target: F64) -> None:
-        """Once more, on what would be sent: shortening for one limit may break another one. Raises _Stop."""
-        if not step.acted:
-            return
-        way = target - step.start
-        for name, (share, joint) in (
-            ("position", self._joints.position_share(step.start, way)),
-            ("velocity", self._joints.velocity_share(step.start, way, step.duration_s)),
-        ):
-            if share < 1.0 and joint >= 0:
-                raise _Stop(name, f"No part of the command keeps {self._names[joint]} within its {name}.")
-        if not self._joints.is_reachable(step.before, way / step.duration_s, step.passed_s):
-            raise _Stop("acceleration", f"The arm is too fast for a limit before it: {step.reason}")
-        for name, _, reason in self._task.pace(sent):
-            raise _Stop(name, reason)
-        for name, reason in self._broken(step, here, target, there):
-            raise _Stop(name, reason)
+    def _sample(self, step: _Step, position: F64) -> JointSample:
+        names, others = step.others
+        if names:
+            names, position = (*self._names, *names), np.concatenate([position, others])
+        return JointSample(names=names or self._names, position=position, stamp_ns=step.stamp_ns)
 
-    def _command(self, command: JointCommand, target: F64, step: _Step) -> JointCommand:
+    def _command(self, command: JointCommand, step: _Step) -> JointCommand:
         if not step.acted and step.duration_s == command.duration_s:
             return command
         position = np.array(command.position, dtype=np.float64)
-        position[[command.names.index(name) for name in self._names]] = target
+        position[[command.names.index(name) for name in self._names]] = step.target
         return replace(command, position=position, duration_s=step.duration_s)

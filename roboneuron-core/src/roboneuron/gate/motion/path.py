@@ -1,25 +1,31 @@
-"""The limits of place and speed on joint motions: forward kinematics along the way, by the rules of control."""
+"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules of control."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, Posture, RobotProfile
 from roboneuron.errors import RefusedError, UnsafeError
-from roboneuron.gate.motion.reach import Reach
 from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import TaskSpace
 
 F64 = NDArray[np.float64]
 
 MAX_POSTURES = 20_000
-"""Longer ways are refused: judging them would take seconds."""
+"""Longer paths are refused: checking them would take seconds."""
+_SLACK = 1e-6
+"""Relative: what rounding may add to a speed."""
+_FINEST_M, _COARSEST_M = 0.005, 0.02
+_SHAPE_M = 0.1
+"""What a hand sticks out from the line of the joints."""
 
 
 class LimitError(RefusedError):
@@ -32,7 +38,7 @@ class LimitError(RefusedError):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Leg:
-    """The way of some joints from where they are to `position`; the others stay.
+    """A segment of a joint path: some joints move to `position`, the others stay.
 
     Attributes:
         names: the joints that are commanded.
@@ -49,12 +55,58 @@ class Leg:
     where: str = ""
 
 
-class PathLimiter:
-    """Judges ways through joint space for one arm; safe from any thread.
+class Reach:
+    """Sampling of paths in joint space.
 
-    Between two postures that are looked at, no point of the arm moves farther than twice the least distance of the
-    links (5 to 20 mm), and the TCP's way between them is tested as a line, so that neither a zone nor a link is
-    passed unseen. Singularities are no limit here: joint motions do not depend on the Jacobian's inverse.
+    No point of the arm may move farther than twice the least distance of its links (within 5 to 20 mm) from one posture
+    to the next.
+    """
+
+    def __init__(self, profile: RobotProfile) -> None:
+        self._levers = levers_m(profile)
+        least_m = _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
+        self._spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
+
+    def count(self, names: Sequence[str], change: F64) -> int:
+        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be cut; at least 1."""
+        travel_m = sum(self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True))
+        return max(1, math.ceil(float(travel_m) / self._spacing_m))
+
+
+def levers_m(profile: RobotProfile) -> dict[str, float]:
+    """By joint of the chain from base to TCP: metres that a point moves at most per rad (1 per m for slides).
+
+    Empty for a description that holds no such chain.
+    """
+    try:
+        root = ET.fromstring(profile.urdf)
+    except ET.ParseError:
+        return {}
+    above = {_attribute(joint.find("child"), "link"): joint for joint in root.findall("joint")}
+    levers: dict[str, float] = {}
+    link, length = profile.tcp_link, _SHAPE_M
+    while link in above and link != profile.base_link:
+        joint = above.pop(link)
+        is_slide = joint.get("type") == "prismatic"
+        levers[joint.get("name", "")] = 1.0 if is_slide else length
+        length += math.hypot(*map(float, _attribute(joint.find("origin"), "xyz", "0 0 0").split()))
+        if is_slide:
+            limit = joint.find("limit")
+            length += abs(float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1")))
+        link = _attribute(joint.find("parent"), "link")
+    return levers
+
+
+def _attribute(element: ET.Element | None, name: str, default: str = "") -> str:
+    return default if element is None else element.get(name, default)
+
+
+class PathLimiter:
+    """Checks paths in joint space for one arm; thread-safe.
+
+    `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as a line, so that
+    neither a zone nor a link is missed. Singularities are no limit here: joint motions do not depend on the
+    Jacobian's inverse.
 
     Args:
         rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction is for actions.
@@ -63,115 +115,101 @@ class PathLimiter:
     """
 
     def __init__(self, rules: MotionRules, profile: RobotProfile, inspect: Callable[[JointSample], Posture]) -> None:
-        self._rules = rules
         self._task = TaskSpace(rules)
-        self._profile = profile
+        self._needs_distances = profile.collision is not None
         self._inspect = inspect
         self._reach = Reach(profile)
         self._lock = threading.Lock()
 
     def check(self, legs: Iterable[Leg], joints: JointSample) -> None:
-        """Raise LimitError for the first limit that the way breaks.
+        """Raise LimitError for the first limit that the path violates.
 
         Args:
             legs: one after the other.
             joints: where the arm is; every joint of it.
         """
-        worst, told = self._judge(legs, joints, places=True)
-        if worst > 1.0:
-            raise LimitError("speed", told, hint=f"Give it {math.ceil(worst * 100.0) / 100.0:g} times the time.")
+        ratio, reason = 1.0, ""
+        with self._judging():
+            for leg, before, there, duration_s in self._walk(legs, joints):
+                for name, told in self._task.places(before.pose, there, lambda before=before: before):  # type: ignore[misc]
+                    if name != "singularity":
+                        raise LimitError(name, f"{leg.where}{told}", hint="Choose another way or another target.")
+                for times, told in self._speeds(before, there, duration_s):
+                    if times > ratio:
+                        ratio, reason = times, f"{leg.where}{told}"
+        if ratio > 1.0 + _SLACK:
+            raise LimitError("speed", reason, hint=f"Give it {math.ceil(ratio * 100.0) / 100.0:g} times the time.")
 
     def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
         """How many times the legs' durations the TCP needs to stay within its speeds, at least 1."""
-        return max(1.0, self._judge(legs, joints, places=False)[0])
+        with self._judging():
+            steps = self._walk(legs, joints)
+            return max([1.0, *(times for _, a, b, duration_s in steps for times, _ in self._speeds(a, b, duration_s))])
 
-    def _judge(self, legs: Iterable[Leg], joints: JointSample, *, places: bool) -> tuple[float, str]:
-        """Worst ratio of a speed to its limit, and what it is in words."""
-        worst, told = 0.0, ""
+    @contextmanager
+    def _judging(self) -> Iterator[None]:
+        """One path at a time; raises LimitError for a posture that cannot be evaluated."""
+        with self._lock:
+            try:
+                yield
+            except UnsafeError as error:
+                raise LimitError("kinematics", f"The motion cannot be judged: {error.message}") from error
+
+    def _speeds(self, before: Posture, there: Posture, duration_s: float) -> Iterator[tuple[float, str]]:
+        """How many times a limit of the TCP's speed is exceeded between two postures, and what is said of it."""
+        if duration_s:
+            motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
+            yield from ((times, reason) for name, times, reason in self._task.excess(motion) if name == "speed")
+
+    def _walk(self, legs: Iterable[Leg], joints: JointSample) -> Iterator[tuple[Leg, Posture, Posture, float]]:
+        """Postures that follow each other on the legs, and the time between them [s], 0 when nobody knows."""
         finite = np.isfinite(joints.position)
         names = tuple(name for name, good in zip(joints.names, finite.tolist(), strict=True) if good)
         here = np.asarray(joints.position, dtype=np.float64)[finite]
-        velocity = np.zeros_like(here)
-        left = MAX_POSTURES
-        with self._lock:
-            try:
-                before = self._look(names, here)
-                for leg in legs:
-                    target, end_velocity = self._target(leg, names, here)
-                    ways: list[tuple[F64, F64] | None] = [None]
-                    if leg.velocity is not None and leg.duration_s:
-                        ways.append((velocity, end_velocity))
-                    for slopes in ways:
-                        way = target - here
-                        ratio, reason, used = self._follow(leg, names, here, way, slopes, before, left, places)
-                        left -= used
-                        if ratio > worst:
-                            worst, told = ratio, reason
-                    here, velocity = target, end_velocity
-                    before = self._look(names, here)
-            except UnsafeError as error:
-                raise LimitError("kinematics", f"The motion cannot be judged: {error.message}") from error
-        return worst, told
-
-    def _target(self, leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
-        target, velocity = here.copy(), np.zeros_like(here)
-        for index, name in enumerate(leg.names):
-            if name not in names:
-                raise UnsafeError(f"Joint {name!r} is not measured.")
-            target[names.index(name)] = leg.position[index]
-            if leg.velocity is not None:
-                velocity[names.index(name)] = leg.velocity[index]
-        return target, velocity
-
-    def _follow(
-        self, leg: Leg, names: tuple[str, ...], start: F64, way: F64, slopes: tuple[F64, F64] | None, before: Posture,
-        left: int, places: bool,
-    ) -> tuple[float, str, int]:  # fmt: skip
-        """Look at the postures of one leg; worst speed ratio, what it is, how many were looked at."""
-        farthest = np.abs(way)
-        if slopes is not None and leg.duration_s is not None:
-            farthest = np.maximum(farthest, leg.duration_s * np.maximum(np.abs(slopes[0]), np.abs(slopes[1])) * 1.5)
-        count = self._reach.count(names, farthest)
-        if count > left:
-            raise LimitError("length", "The way is too long to be judged.", hint="Send it in several calls.")
-        worst, told = 0.0, ""
-        for position in _positions(start, way, slopes, leg.duration_s or 0.0, count):
-            there = self._look(names, position)
-            if places:
-                self._check_place(leg, before, there)
-            if leg.duration_s:
-                for ratio, reason in self._speeds(before, there, leg.duration_s / count):
-                    if ratio > worst:
-                        worst, told = ratio, f"{leg.where}{reason}"
-            before = there
-        return worst, told, count
+        velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._look(names, here)
+        for leg in legs:
+            target, end_velocity = _target(leg, names, here)
+            change, duration_s = target - here, leg.duration_s or 0.0
+            bends: list[tuple[F64, F64] | None] = [None]
+            if leg.velocity is not None and duration_s:  # a driver may take the line or the cubic
+                bends.append((velocity * duration_s, end_velocity * duration_s))
+            for bend in bends:
+                farthest = np.abs(change) if bend is None else np.abs([change, *np.multiply(bend, 1.5)]).max(axis=0)
+                count = self._reach.count(names, farthest)
+                left -= count
+                if left < 0:
+                    raise LimitError("length", "The way is too long to be judged.", hint="Send it in several calls.")
+                before = start
+                for position in here + _shape(change, bend, count):
+                    there = self._look(names, position)
+                    yield leg, before, there, duration_s / count
+                    before = there
+            here, velocity, start = target, end_velocity, before
 
     def _look(self, names: tuple[str, ...], position: F64) -> Posture:
         posture = self._inspect(JointSample(names=names, position=position))
-        if self._profile.collision is not None and posture.near is None:
+        if self._needs_distances and posture.near is None:
             raise UnsafeError("the controller tells no distances between links; see limits.collision")
         return posture
 
-    def _check_place(self, leg: Leg, before: Posture, there: Posture) -> None:
-        bare = replace(there, smallest_singular_value=None)
-        for name, reason in self._task.places(before.pose, bare, lambda: before):
-            raise LimitError(name, f"{leg.where}{reason}", hint="Choose another way or another target.")
 
-    def _speeds(self, before: Posture, there: Posture, duration_s: float) -> Iterator[tuple[float, str]]:
-        motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
-        for value, most, unit in (
-            (motion.speed_m_s, self._rules.max_speed_m_s, "m/s"),
-            (motion.turn_rad_s, self._rules.max_turn_rad_s, "rad/s"),
-        ):
-            yield value / most / (1.0 + 1e-6), f"The TCP would move at {value:.3g} {unit}, allowed is {most:g} {unit}."
+def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
+    """Position and velocity of all joints at the end of a leg."""
+    target, velocity = here.copy(), np.zeros_like(here)
+    for index, name in enumerate(leg.names):
+        if name not in names:
+            raise UnsafeError(f"Joint {name!r} is not measured.")
+        target[names.index(name)] = leg.position[index]
+        if leg.velocity is not None:
+            velocity[names.index(name)] = leg.velocity[index]
+    return target, velocity
 
 
-def _positions(start: F64, way: F64, slopes: tuple[F64, F64] | None, duration_s: float, count: int) -> Iterator[F64]:
-    """Postures after the start: on a line, or on the cubic that has the velocities `slopes` at its ends."""
-    for number in range(1, count + 1):
-        s = number / count
-        if slopes is None:
-            yield start + way * s
-        else:
-            bend = slopes[0] * (s * (1.0 - s) ** 2) - slopes[1] * (s * s * (1.0 - s))
-            yield start + way * (s * s * (3.0 - 2.0 * s)) + bend * duration_s
+def _shape(change: F64, bend: tuple[F64, F64] | None, count: int) -> F64:
+    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic with these slopes."""
+    s = np.arange(1, count + 1)[:, np.newaxis] / count
+    if bend is None:
+        line: F64 = s * change
+        return line
+    cubic: F64 = s * s * (3.0 - 2.0 * s) * change + s * (1.0 - s) ** 2 * bend[0] - s * s * (1.0 - s) * bend[1]
+    return cubic

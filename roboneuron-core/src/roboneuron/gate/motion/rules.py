@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from roboneuron.config import LimitsConfig, Reaction
 from roboneuron.contract import CollisionProfile, Obstacle, RobotProfile
@@ -73,7 +73,17 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
     Raises:
         ConfigurationError: a box is empty, or a workspace is wider than the profile's.
     """
-    lower, upper = _workspace(config, profile)
+    widest = profile.workspace
+    lower = np.full(3, -np.inf) if widest is None else np.asarray(widest.lower_m, dtype=np.float64)
+    upper = np.full(3, np.inf) if widest is None else np.asarray(widest.upper_m, dtype=np.float64)
+    asked_lower = lower if config.workspace_lower_m is None else np.array(config.workspace_lower_m)
+    asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
+    if (asked_lower < lower).any() or (asked_upper > upper).any():
+        raise ConfigurationError(
+            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than that of robot "
+            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be tightened."
+        )
+    workspace = _box("workspace", "the TCP's", asked_lower, asked_upper)
     return MotionRules(
         reactions={name: getattr(config, f"on_{name}") for name in LIMITS},
         velocity_fraction=config.velocity_fraction,
@@ -82,10 +92,10 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         max_step_rad=config.max_step_rad,
         max_speed_m_s=config.max_speed_m_s,
         max_turn_rad_s=config.max_turn_rad_s,
-        lower_m=lower,
-        upper_m=upper,
+        lower_m=workspace.lower_m,
+        upper_m=workspace.upper_m,
         min_height_m=-np.inf if config.min_height_m is None else config.min_height_m,
-        zones=tuple(_zone(zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
+        zones=tuple(_box("zones", zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
         min_singular_value=config.min_singular_value,
     )
 
@@ -108,33 +118,16 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
     if config.min_distance_m is not None:
         made = replace(made, min_distance_m=config.min_distance_m)
     if config.obstacles is not None:
-        boxes = [_zone(box.name, box.lower_m, box.upper_m, "obstacles") for box in config.obstacles]
-        made = replace(
-            made, obstacles=tuple(Obstacle(name=b.name, lower_m=b.lower_m, upper_m=b.upper_m) for b in boxes)
-        )
+        boxes = [_box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles]
+        obstacles = tuple(Obstacle(name=b.name, lower_m=b.lower_m, upper_m=b.upper_m) for b in boxes)
+        made = replace(made, obstacles=obstacles)
     return made
 
 
-def _zone(name: str, lower_m: list[float], upper_m: list[float], key: str = "zones") -> Zone:
-    lower, upper = np.array(lower_m), np.array(upper_m)
-    if not (lower < upper).all():
-        raise ConfigurationError(f"limits.{key}: {name!r} reaches from {lower_m} to {upper_m} m, which is no box.")
-    return Zone(name=name, lower_m=lower, upper_m=upper)
-
-
-def _workspace(config: LimitsConfig, profile: RobotProfile) -> tuple[F64, F64]:
-    widest = profile.workspace
-    lower = np.full(3, -np.inf) if widest is None else np.asarray(widest.lower_m, dtype=np.float64)
-    upper = np.full(3, np.inf) if widest is None else np.asarray(widest.upper_m, dtype=np.float64)
-    asked_lower = lower if config.workspace_lower_m is None else np.array(config.workspace_lower_m)
-    asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
-    if (asked_lower < lower).any() or (asked_upper > upper).any():
-        raise ConfigurationError(
-            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than that of robot "
-            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be tightened."
-        )
-    if not (asked_lower < asked_upper).all():
-        raise ConfigurationError(
-            f"limits.workspace reaches from {asked_lower.tolist()} to {asked_upper.tolist()} m, which is no box."
-        )
-    return asked_lower, asked_upper
+def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Zone:
+    """A box of `[limits]`; raises ConfigurationError for an empty one."""
+    box = Zone(name=name, lower_m=np.array(lower_m), upper_m=np.array(upper_m))
+    if not (box.lower_m < box.upper_m).all():
+        ends = f"{box.lower_m.tolist()} to {box.upper_m.tolist()}"
+        raise ConfigurationError(f"limits.{key}: {name!r} reaches from {ends} m, which is no box.")
+    return box

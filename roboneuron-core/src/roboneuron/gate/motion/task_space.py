@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roboneuron.contract import Pose, Posture
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.boxes import angle_rad, breaks_zone, depth_outside_m, distance_m, is_worse
-from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.verdict import Motion
+from roboneuron.gate.motion.rules import MotionRules, Zone
 
-_RESERVE = 0.98
-"""Share of a Cartesian step or speed aimed at when shortening: joint space bends the straight line a little."""
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Motion:
+    """One command in numbers.
+
+    Attributes:
+        step_m, step_rad: how far the TCP would go from where it is measured.
+        speed_m_s, turn_rad_s: how fast it would go there from the posture commanded so far.
+        joint_speed: velocity of the fastest joint [rad/s or m/s].
+        smallest_singular_value: at the end of the step; None when the controller cannot tell.
+    """
+
+    step_m: float
+    step_rad: float
+    speed_m_s: float
+    turn_rad_s: float
+    joint_speed: float
+    smallest_singular_value: float | None = None
 
 
 class TaskSpace:
-    """Checks of where a command leads; stateless."""
+    """Limits on where the TCP and the links go, for actions and joint motions alike; stateless."""
 
     def __init__(self, rules: MotionRules) -> None:
         self._rules = rules
@@ -37,12 +56,12 @@ class TaskSpace:
             smallest_singular_value=end.smallest_singular_value,
         )
         sum_of_all = motion.step_m + motion.step_rad + motion.speed_m_s + motion.turn_rad_s + motion.joint_speed
-        if not np.isfinite(sum_of_all + (motion.smallest_singular_value or 0.0)):
+        if not math.isfinite(sum_of_all + (motion.smallest_singular_value or 0.0)):
             raise UnsafeError(f"A command leads to numbers that are not finite: {motion}.")
         return motion
 
-    def pace(self, motion: Motion) -> Iterator[tuple[str, float, str]]:
-        """Limits of step and speed that `motion` breaks: name, share of it that would be allowed, reason."""
+    def excess(self, motion: Motion) -> Iterator[tuple[str, float, str]]:
+        """Limits of step and speed that `motion` violates: name, ratio of value to limit, reason."""
         rules = self._rules
         for name, value, most, unit in (
             ("step", motion.step_m, rules.max_step_m, "m"),
@@ -51,51 +70,85 @@ class TaskSpace:
             ("speed", motion.turn_rad_s, rules.max_turn_rad_s, "rad/s"),
         ):
             if value > most:
-                yield (
-                    name,
-                    _RESERVE * most / value,
-                    f"The TCP would move {value:.4g} {unit}, allowed is {most:g} {unit}.",
-                )
+                by = "at " if name == "speed" else ""
+                yield name, value / most, f"The TCP would move {by}{value:.4g} {unit}, allowed is {most:g} {unit}."
 
     def places(self, here: Pose, there: Posture, look_here: Callable[[], Posture]) -> Iterator[tuple[str, str]]:
-        """Limits of place and posture that the way from one posture to another breaks: name, reason.
+        """Limits of place and posture that the path from one posture to another violates: name, reason.
 
         Args:
-            here: TCP at the start of the way.
-            there: end of the way.
+            here: TCP at the start of the path.
+            there: end of the path.
             look_here: the posture at the start; asked for only when it matters.
 
-        Ways out of where the arm must not be are allowed.
+        Paths that lead out of a forbidden place are allowed.
         """
         rules = self._rules
         start, end = here.position_m, there.pose.position_m
-        outside = depth_outside_m(end, rules.lower_m, rules.upper_m)
-        if is_worse(outside, depth_outside_m(start, rules.lower_m, rules.upper_m)):
-            yield (
-                "workspace",
-                f"The TCP would be {outside:.4f} m outside the workspace, at {np.round(end, 4).tolist()} m.",
-            )
-        if is_worse(rules.min_height_m - end[2], rules.min_height_m - start[2]):
+        outside = _depth_outside_m(end, rules.lower_m, rules.upper_m)
+        if _is_worse(outside, _depth_outside_m(start, rules.lower_m, rules.upper_m)):
+            at = np.round(end, 4).tolist()
+            yield "workspace", f"The TCP would be {outside:.4f} m outside the workspace, at {at} m."
+        if _is_worse(rules.min_height_m - end[2], rules.min_height_m - start[2]):
             yield "height", f"The TCP would be at a height of {end[2]:.4f} m, allowed is {rules.min_height_m:g} m."
         for zone in rules.zones:
-            if breaks_zone(zone, start, end):
+            if _breaks_zone(zone, start, end):
                 yield "zone", f"The TCP would enter {zone.name!r} on its way to {np.round(end, 4).tolist()} m."
         least, singular = rules.min_singular_value, there.smallest_singular_value
         if singular is not None and singular < least:
             before = look_here().smallest_singular_value or 0.0
-            if is_worse(least - singular, least - before):
+            if _is_worse(least - singular, least - before):
                 yield "singularity", f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
-        for reason in self.collisions(there, look_here):
-            yield "collision", reason
+        yield from self.collisions(there, look_here)
 
-    def collisions(self, there: Posture, look_here: Callable[[], Posture]) -> Iterator[str]:
-        """Pairs that are too near in a posture and no farther apart than at the start of the way."""
+    def collisions(self, there: Posture, look_here: Callable[[], Posture]) -> Iterator[tuple[str, str]]:
+        """Pairs that are too near in a posture and no farther apart than at the start of the path; as `places`."""
         if not there.near:
             return
         start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
         for pair in there.near:
             if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
-                yield (
-                    f"{pair.first} and {pair.second} would be {pair.distance_m * 1e3:.1f} mm apart, at least "
-                    f"{pair.least_m * 1e3:g} mm are required."
-                )
+                apart = f"{pair.distance_m * 1e3:.1f} mm apart, at least {pair.least_m * 1e3:g} mm are required."
+                yield "collision", f"{pair.first} and {pair.second} would be {apart}"
+
+
+def distance_m(here: Pose, there: Pose) -> float:
+    """Distance of two TCP positions."""
+    return math.dist(here.position_m.tolist(), there.position_m.tolist())
+
+
+def angle_rad(here: Pose, there: Pose) -> float:
+    """Angle of the rotation between two TCP orientations, 0 .. pi."""
+    cosine = abs(float(np.dot(here.quaternion_xyzw, there.quaternion_xyzw)))
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    return 2.0 * math.atan2(sine, cosine)
+
+
+def _depth_outside_m(point_m: F64, lower_m: F64, upper_m: F64) -> float:
+    """How far a point (3,) lies outside a box along the worst axis; negative inside."""
+    return float(np.maximum(lower_m - point_m, point_m - upper_m).max())
+
+
+def _is_worse(end: float, start: float) -> bool:
+    """Whether a path ends inside a forbidden place (depth > 0) without leading out of it."""
+    return end > 0.0 and end >= start
+
+
+def _breaks_zone(zone: Zone, start_m: F64, end_m: F64) -> bool:
+    """Whether the line from one point (3,) to another touches the box, or starts in it and does not lead out."""
+    start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
+    if start_depth > 0.0:
+        return -_depth_outside_m(end_m, zone.lower_m, zone.upper_m) >= start_depth
+    enter, leave = 0.0, 1.0  # slab test: the shares of the way between which it is within the box along every axis
+    axes = zip(start_m.tolist(), end_m.tolist(), zone.lower_m.tolist(), zone.upper_m.tolist(), strict=True)
+    for begin, end, low, high in axes:
+        way = end - begin
+        if way == 0.0:
+            if not low < begin < high:
+                return False
+            continue
+        near, far = sorted(((low - begin) / way, (high - begin) / way))
+        enter, leave = max(enter, near), min(leave, far)
+        if enter >= leave:
+            return False
+    return True

@@ -9,8 +9,10 @@ from dataclasses import replace
 from functools import partial
 
 from roboneuron.config import Config
+from roboneuron.contract import JointSample
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
+from roboneuron.gate.motion import PredictedArm
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.motion.exposed import Exposed, action_endpoint, check_stop, profile_endpoints
@@ -75,6 +77,11 @@ class AllowList:
                 self._by_owner, self._instead = before
                 raise
         self._tell()
+
+    def predicted(self, exposed: Exposed, joints: JointSample) -> PredictedArm:
+        """An arm that follows actions as control would make it; raises as `ArmPaths.limiter`."""
+        assert exposed.profile is not None
+        return self._paths.predicted(exposed.robot, exposed.profile, joints)
 
     def refresh(self) -> None:
         """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""

@@ -20,6 +20,7 @@ from roboneuron.server.motion.services import Response
 from roboneuron.server.tool import Stage
 
 if TYPE_CHECKING:
+    from roboneuron.gate.motion import PredictedArm
     from roboneuron.ros.reader import Reading
 
 
@@ -60,6 +61,14 @@ class MotionGate:
     def check_free(self, exposed: Exposed) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
         self._access.arbiter.check_free(exposed)
+
+    def predicted(self, exposed: Exposed, joints: JointSample) -> PredictedArm:
+        """An arm at `joints` that follows actions as control would make it follow them; nothing is sent. Close it.
+
+        Raises:
+            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it.
+        """
+        return self._allow_list.predicted(exposed, joints)
 
     def slowdown(self, request: GateRequest) -> float:
         """How many times the request's time the TCP needs to keep to its speeds; see `Gate.slowdown`."""

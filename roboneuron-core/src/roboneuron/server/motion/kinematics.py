@@ -10,7 +10,7 @@ from typing import cast
 from roboneuron.config import Config, LimitsConfig
 from roboneuron.contract import Controller, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import ConfigurationError
-from roboneuron.gate.motion import MotionRules, PathLimiter, collision_of, motion_rules
+from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, PredictedArm, collision_of, motion_rules
 from roboneuron.modules.plugin import build
 from roboneuron.plugins.registry import Registry
 
@@ -47,18 +47,35 @@ class ArmPaths:
                 self._made[robot, name] = self._make(robot, name, profile)
             return self._made[robot, name]
 
+    def predicted(self, robot: str, profile: RobotProfile, joints: JointSample) -> PredictedArm:
+        """An arm at `joints` that follows actions as control would make it. Raises as `limiter`."""
+        controller, inspect, limited = self._load(robot, self._controller(robot), profile)
+        control = self._config.control
+        limiter = MotionLimiter(
+            self.rules(robot, profile),
+            limited,
+            controller.forward,
+            inspect,
+            immediate=control is not None and control.command == "joint_state",
+            longest_s=self._config.robot.server_timeout_s,
+        )
+        return PredictedArm(controller, limiter, joints)
+
     def _make(self, robot: str, name: str, profile: RobotProfile) -> PathLimiter:
-        limits = self._limits(robot)
-        limited = replace(profile, collision=collision_of(limits, profile))
+        _, inspect, limited = self._load(robot, name, profile)
+        return PathLimiter(self.rules(robot, profile), limited, inspect)
+
+    def _load(
+        self, robot: str, name: str, profile: RobotProfile
+    ) -> tuple[Controller, Callable[[JointSample], Posture], RobotProfile]:
+        """A controller of its own, what tells it of postures, and the profile with the collisions in force."""
+        limited = replace(profile, collision=collision_of(self._limits(robot), profile))
         spec = self._registry().get("controller", name)
         controller = cast("Controller", build(spec, self._config.options(name), limited))
         controller.load()
-
-        def look(joints: JointSample) -> Posture:
-            return Posture(pose=controller.forward(joints))
-
-        inspect = controller.inspect if isinstance(controller, PostureInspector) else look
-        return PathLimiter(motion_rules(limits, profile), limited, inspect)
+        if isinstance(controller, PostureInspector):
+            return controller, controller.inspect, limited
+        return controller, lambda joints: Posture(pose=controller.forward(joints)), limited
 
     def _limits(self, robot: str) -> LimitsConfig:
         return self._config.limits if robot == self._config.robot.name else LimitsConfig()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import time
 
-from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate
-from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
+from roboneuron.gate import Gate
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.motion.access import Access
 from roboneuron.server.motion.allow_list import AllowList
@@ -30,18 +29,17 @@ class DirectPath:
         lent: what features get of all that.
     """
 
-    def __init__(self, loop: ClosedLoop, latch: EmergencyStopLatch) -> None:
+    def __init__(self, loop: ClosedLoop) -> None:
         """Args:
-        loop: the closed loop beside it; its policy has the robot while it runs.
-        latch: the emergency stop of the control plane.
+        loop: the closed loop beside it; its policy has the robot while it runs, its emergency stop and audit are used.
         """
         self._loop = loop
         supervisor: Supervisor = loop.supervisor
         server = loop.config.server
         self.gate = Gate(
             (),
-            latch=latch,
-            audit=AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns),
+            latch=loop.emergency_stop.file,
+            audit=loop.emergency_stop.audit,
             clock=time.monotonic,
             dry_run=server.dry_run,
         )

@@ -1,0 +1,110 @@
+"""Joint commands of control: selection and check of their joints, the setpoint of the last one, the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import Hold, JointCommand, JointSample
+from roboneuron.errors import UnsafeError
+from roboneuron.gate.motion.joint_space import JointLimit
+from roboneuron.gate.motion.task_space import Motion
+
+F64 = NDArray[np.float64]
+
+_FARTHEST = 1e4
+"""No joint is farther than this [rad or m] from zero; numbers beyond it are damage."""
+
+
+def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
+    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there once and finite."""
+    values = np.asarray(position, dtype=np.float64)
+    if values.shape != (len(names),) or len(set(names)) != len(names):
+        raise UnsafeError(
+            f"{len(names)} joints are named, {len(set(names))} different, with positions of shape {values.shape}."
+        )
+    if names != wanted:
+        missing = [name for name in wanted if name not in names]
+        if missing:
+            raise UnsafeError(f"The joints {list(names)} lack {missing} of the arm.")
+        values = values[[names.index(name) for name in wanted]]
+    if not (np.abs(values) <= _FARTHEST).all():  # false for NaN
+        raise UnsafeError(f"A joint of the arm is at no possible position: {values.tolist()}.")
+    return values
+
+
+def pick_others(
+    command: JointCommand, joints: JointSample, arm: tuple[str, ...], limits: Mapping[str, JointLimit]
+) -> tuple[tuple[str, ...], F64]:
+    """Names and positions of the finite joints beside the arm's: as commanded, or else as measured.
+
+    Raises:
+        UnsafeError: a commanded one is unknown or leaves its travel.
+    """
+    if joints.names == arm and len(command.names) == len(arm):
+        return (), np.zeros(0)
+    known = dict(zip(joints.names, joints.position.tolist(), strict=False))
+    for name, value in zip(command.names, command.position.tolist(), strict=False):
+        if name in arm:
+            continue
+        if name not in limits:
+            raise UnsafeError(f"A command names the joint {name!r}, which is neither the arm's nor the gripper's.")
+        if not limits[name].allows("position", value):
+            travel = f"{limits[name].lower:g} .. {limits[name].upper:g}"
+            raise UnsafeError(f"The gripper would go to {value:g}, its travel is {travel}.")
+        known[name] = value
+    kept = {name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST}
+    return tuple(kept), np.array(list(kept.values()), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Setpoint:
+    """The last command sent: a straight line in joint space at constant velocity.
+
+    Attributes:
+        start, way: float64 (n,) [rad or m].
+        duration_s: time for `way`.
+        sent_s: monotonic time.
+        immediate: the command carries no time, so that the robot may jump to its end (JointState commands).
+    """
+
+    start: F64
+    way: F64
+    duration_s: float
+    sent_s: float
+    immediate: bool
+
+    def at(self, now_s: float) -> tuple[F64, F64]:
+        """Position and velocity at `now_s`."""
+        passed = (now_s - self.sent_s) / self.duration_s
+        # An immediate one was chosen for the time before it; the arm has that velocity until the next one is due.
+        is_moving = passed <= 2.0 if self.immediate else passed < 1.0
+        velocity = self.way / self.duration_s if is_moving else np.zeros_like(self.way)
+        share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
+        return self.start + self.way * share, velocity
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Verdict:
+    """Result of the limiter for one command of control.
+
+    Attributes:
+        command: what to send, a hold, or None: the command is rejected and the previous one continues.
+        acted: limits, from `LIMITS`, that scaled or rejected the command; empty when it is unchanged.
+        reason: one sentence for the last of them, with the numbers; empty when the command is unchanged.
+        share: length of the sent step in joint space over that of the commanded one; 1 when it is unchanged.
+        asked: the command in numbers; None for an invalid one (non-finite, unknown joints).
+        sent: what is sent, in numbers; None when nothing is sent or the arm holds.
+        reference_lost: the measured joints did not follow the setpoint.
+    """
+
+    command: JointCommand | Hold | None
+    acted: tuple[str, ...] = ()
+    reason: str = ""
+    share: float = 1.0
+    asked: Motion | None = None
+    sent: Motion | None = None
+    reference_lost: bool = False
