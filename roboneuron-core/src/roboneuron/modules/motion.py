@@ -7,7 +7,7 @@ from pathlib import Path
 from time import time_ns
 from typing import Any
 
-from roboneuron.config import Config
+from roboneuron.config.limits import LimitsConfig
 from roboneuron.contract import Controller, Hold, JointCommand, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord
@@ -28,21 +28,26 @@ class MotionGuard:
     """
 
     def __init__(
-        self, config: Config, profile: RobotProfile, controller: Controller, status: ModuleStatus, state: Path
+        self,
+        limits: LimitsConfig,
+        profile: RobotProfile,
+        controller: Controller,
+        status: ModuleStatus,
+        state: Path,
+        immediate: bool,
     ) -> None:
         inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
-        assert config.control is not None
         is_checked = profile.collision is None or isinstance(controller, PostureInspector)
         if not is_checked:
             log.warning("The controller tells no distances: collisions of %s are not checked.", profile.name)
         status.set_value("collision_checked", is_checked and profile.collision is not None)
         self._controller = controller
         self._limiter = MotionLimiter(
-            motion_rules(config.limits, profile),
+            motion_rules(limits, profile),
             profile,
             controller.forward,
             inspect,
-            immediate=config.control.command == "joint_state",
+            immediate=immediate,
         )
         self._robot = profile.name
         self._status = status

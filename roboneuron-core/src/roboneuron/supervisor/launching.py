@@ -13,7 +13,6 @@ from pathlib import Path
 
 from roboneuron.config import ServerConfig
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.priority import lower
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
@@ -132,8 +131,6 @@ class Launcher:
                 f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
                 hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
             ) from error
-        if settings.shadow:
-            lower(process.pid)
         self._on_spawn()
         log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
         self._board.watch(settings.status_name, process.pid)

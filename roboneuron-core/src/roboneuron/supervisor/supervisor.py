@@ -47,6 +47,7 @@ class Supervisor:
     Attributes:
         observers: told of every module process.
         on_join: what modules call once they have joined ROS, as "module:attribute".
+        handover: class of a feature that replaces modules, as "module:attribute"; see `Handover`.
         secret_variables: environment variables that modules do not get.
     """
 
@@ -62,6 +63,7 @@ class Supervisor:
         self.changes = Changes()
         self.observers = ProcessObservers()
         self.on_join: tuple[str, ...] = ()
+        self.handover: str | None = None
         self.secret_variables: set[str] = set()
         board = StatusBoard(self.changes)
         self._connection = Connection(board.receive, self.log_directory)
@@ -305,6 +307,7 @@ class Supervisor:
             state_directory=str(self.state_directory),
             shadow=shadow,
             on_join=self.on_join,
+            handover=self.handover,
         )
 
     def _processes(self) -> list[ModuleProcess]:
