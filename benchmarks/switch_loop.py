@@ -154,12 +154,13 @@ def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iter
         supervisor = Supervisor(scratch / "state")
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
             loop.start("robot")
             loop.start("perception")
             loop.start("control")
             loop.start("inference", StartInference(instruction="move on"))
             with repaired(supervisor):
-                yield Switching(loop), witness
+                yield switching, witness
         finally:
             supervisor.close()

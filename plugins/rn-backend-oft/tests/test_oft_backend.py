@@ -17,8 +17,9 @@ from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_vla.decoding import RowsReply
 from rn_vla.openvla.tiny import write_tokenizer
+from rn_vla.rotation import matrix_from_rpy
 from roboneuron.contract import Frame, Observation, Pose
-from roboneuron.contract.rotation import matrix_from_rotvec, matrix_from_rpy, quaternion_from_matrix
+from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import CheckpointError, ConfigurationError, UngroundedError, UnsafeError
 
 POSE = Pose(

@@ -14,14 +14,12 @@ from hypothesis.extra.numpy import arrays
 from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
 from rn_backend_pi0.profiles import PROFILES
 from rn_backend_pi0.state import StateLayout
+from rn_vla.rotation import matrix_from_rpy, nearer_rotvec, rpy_from_matrix
 from roboneuron.contract import Action, Observation, Pose, apply_delta
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
     matrix_from_rotvec,
-    matrix_from_rpy,
-    nearer_rotvec,
     quaternion_from_matrix,
-    rpy_from_matrix,
 )
 from roboneuron.errors import ConfigurationError, UngroundedError, UnsafeError
 

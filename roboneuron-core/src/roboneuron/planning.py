@@ -77,21 +77,17 @@ def check_plan(
         _check_perception(perception_spec, robot_spec, driver_spec)
     if controller_spec is not None:
         _check_controller(controller_spec, robot_spec)
+    runtime_spec = acceleration_spec = None
     if backend_spec is None:
         _check_nothing_to_execute(runtime, acceleration)
-        return Plan(
-            robot=robot_spec,
-            driver=driver_spec,
-            perception=perception_spec,
-            controller=controller_spec,
-            cameras=MappingProxyType(_chosen_cameras(robot_spec, cameras)),
-        )
-    _check_action_width(backend_spec, robot_spec)
-    resolved_cameras = _resolve_cameras(backend_spec, robot_spec, cameras)
-    runtime_spec = _resolve_runtime(registry, backend_spec, runtime)
-    acceleration_spec = registry.get("acceleration", acceleration) if acceleration else None
-    if acceleration_spec is not None:
-        _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
+        chosen = _chosen_cameras(robot_spec, cameras)
+    else:
+        _check_action_width(backend_spec, robot_spec)
+        chosen = _resolve_cameras(backend_spec, robot_spec, cameras)
+        runtime_spec = _resolve_runtime(registry, backend_spec, runtime)
+        acceleration_spec = registry.get("acceleration", acceleration) if acceleration else None
+        if acceleration_spec is not None:
+            _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
     return Plan(
         robot=robot_spec,
         driver=driver_spec,
@@ -100,7 +96,7 @@ def check_plan(
         backend=backend_spec,
         runtime=runtime_spec,
         acceleration=acceleration_spec,
-        cameras=MappingProxyType(resolved_cameras),
+        cameras=MappingProxyType(chosen),
     )
 
 

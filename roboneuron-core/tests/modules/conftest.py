@@ -73,7 +73,9 @@ class World:
         assert wait_until(task.done, 10.0), "the executor did not run the task"
         return task.result()
 
-    def module(self, kind: ModuleKind, *, extra: str = "", replace: dict[str, str] | None = None) -> Any:
+    def module(
+        self, kind: ModuleKind, *, extra: str = "", replace: dict[str, str] | None = None, shadow: bool = False
+    ) -> Any:
         """Build a module's node; the caller triggers its transitions."""
         from roboneuron.modules.control import ControlModule
         from roboneuron.modules.inference import InferenceModule
@@ -92,7 +94,12 @@ class World:
             "robot": RobotModule,
         }
         settings = ModuleSettings(
-            kind=kind, node_name=kind, config=parse_config(text), state_directory=str(self.state_directory)
+            kind=kind,
+            node_name=kind,
+            config=parse_config(text),
+            state_directory=str(self.state_directory),
+            handover="loop_plugin:Windows",
+            shadow=shadow,
         )
         node = ModuleNode(settings, classes[kind])
         self.executor.add_node(node)

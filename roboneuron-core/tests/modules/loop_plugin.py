@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from roboneuron.contract import (
     Topics,
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
+from roboneuron.modules.handover import Handover
 from roboneuron.plugins.markers import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,
@@ -104,6 +105,38 @@ def profile() -> RobotProfile:
         home_rad=np.zeros(2),
         cameras=(CameraProfile(name="front", role="primary", frame_id="optical", width=8, height=6),),
     )
+
+
+class Windows(Handover):
+    """Moments of a feature that replaces modules."""
+
+    def __init__(self, shadow: bool, status: Any) -> None:
+        super().__init__(shadow, status)
+        self.moments = {"act_from_ns": 2**62 if shadow else 0, "act_until_ns": 0, "play_until_ns": 0}
+        self.withheld: list[Any] = []
+        self.heard: list[Any] = []
+        self.sent: list[str] = []
+
+    def set(self, moments: Mapping[str, int]) -> None:
+        self.moments = {**self.moments, **moments}
+
+    def is_shadow(self, stamp_ns: int) -> bool:
+        return stamp_ns < self.moments["act_from_ns"]
+
+    def is_over(self, stamp_ns: int) -> bool:
+        return 0 < self.moments["act_until_ns"] <= stamp_ns
+
+    def must_fall_silent(self, now_ns: int) -> bool:
+        return 0 < self.moments["play_until_ns"] <= now_ns
+
+    def withhold(self, output: Any) -> None:
+        self.withheld.append(output)
+
+    def hear(self, output: Any, sent_s: float) -> None:
+        self.heard.append(output)
+
+    def note_sent(self, what: str) -> None:
+        self.sent.append(what)
 
 
 class Instant:

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.timeout(60)
 
 LISTENS = """
 import time
-from roboneuron.modules.signals import Signals
+from roboneuron.modules.parent_watch import Signals
 signals, presses = Signals(), 0
 signals.listen()
 print("listens", flush=True)
@@ -26,8 +26,8 @@ print(presses)
 """
 HANGS = """
 import threading
-from roboneuron.modules.lifeline import watch_stdin
-watch_stdin(threading.Event().wait, grace_s=0.1)
+from roboneuron.modules.parent_watch import watch_stdin
+watch_stdin(threading.Event().wait, print, grace_s=0.1)
 print("waits", flush=True)
 lock = threading.Lock()
 lock.acquire()

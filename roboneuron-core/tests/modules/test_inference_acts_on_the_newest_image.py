@@ -17,7 +17,6 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import Frame, JointSample, Pose
-from roboneuron.modules.settings import NEVER_NS
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
 pytestmark = pytest.mark.ros
@@ -210,7 +209,7 @@ def test_chunk_is_played_out_one_action_per_step(build: Callable[..., Cell]) -> 
     assert cell.wait_until(lambda: len(cell.actions) == 5)
     assert time.monotonic() - started_s >= 4 * 0.05
     assert [round(a.data[0] * 1000) for a in cell.actions] == [0, 1, 2, 3, 4]
-    assert cell.wait_until(lambda: cell.status()["chunk_position"] == "5/5")
+    assert cell.wait_until(lambda: (cell.status()["chunk_row"], cell.status()["chunk_rows"]) == ("5", "5"))
 
 
 def test_new_instruction_cuts_a_chunk_short_and_resets_the_backend(build: Callable[..., Cell]) -> None:
@@ -288,11 +287,12 @@ def test_deactivation_silences_within_a_step(build: Callable[..., Cell]) -> None
 
 def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(build: Callable[..., Cell]) -> None:
     cell = build("instant")
-    cell.set(act_from_ns=NEVER_NS)
+    cell.set(act_from_ns=2**62)
     cell.send_image()
     assert cell.wait_until(lambda: cell.status()["ready"] == "true")
-    assert cell.status()["shadow_action"] == "0.01,0,0,0,0,0,1"
+    assert cell.inference.handover.withheld[0].actions[0].tolist() == [0.01, 0, 0, 0, 0, 0, 1]
     assert not cell.actions
+    assert not cell.inference.handover.sent
 
 
 def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(build: Callable[..., Cell]) -> None:

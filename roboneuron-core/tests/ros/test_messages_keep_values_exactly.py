@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract import CameraCalibration, CameraProfile, Frame, JointCommand, JointSample, Pose
 from roboneuron.errors import InvalidInputError
-from roboneuron.modules.sight import CalibratedCamera
+from roboneuron.modules.inputs import CalibratedCamera
 from roboneuron.ros import messages
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

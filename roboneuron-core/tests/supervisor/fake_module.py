@@ -1,4 +1,4 @@
-"""A module process with faults on demand: the real node, protocol and lifeline around behaviour that misbehaves.
+"""A module process with faults on demand: the real node, protocol and parent watch around behaviour that misbehaves.
 
 The fault is read from `[plugins.fault]` of the configuration: module kind -> word.
 """
@@ -13,9 +13,8 @@ import threading
 import time
 
 from roboneuron.errors import CheckpointError, UngroundedError
-from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
+from roboneuron.modules.parent_watch import Signals, end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings
-from roboneuron.modules.signals import Signals
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 
@@ -41,7 +40,9 @@ from roboneuron.modules.module import Module, ModuleNode  # noqa: E402
 class FakeModule(Module):
     """Becomes ready when it is activated, except where its fault says otherwise."""
 
-    def configure(self) -> None:
+    def __init__(self, node: ModuleNode) -> None:
+        super().__init__(node)
+        node.resources.callback(print, "closed", flush=True)
         if fault == "refuses-configure":
             raise CheckpointError("The weights of 'fake' are truncated: 3 of 7 shards.", hint="Download them again.")
         if fault == "dies-in-configure":
@@ -73,9 +74,6 @@ class FakeModule(Module):
 
     def deactivate(self) -> None:
         print("deactivated", flush=True)
-
-    def close(self) -> None:
-        print("closed", flush=True)
 
     def _on_parameters(self, parameters: list[object]) -> SetParametersResult:
         for parameter in parameters:

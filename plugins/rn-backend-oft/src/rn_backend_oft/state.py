@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.constants import StateLayout
+from rn_vla.rotation import rotvec_by_down, rpy_by_down
 from roboneuron import ConfigurationError, Observation, UngroundedError, matrix_from_quaternion
-from roboneuron.contract.rotation import rotvec_by_down, rpy_by_down
 
 F64 = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from rn_vla.rotation import F64, matrix_from_rpy, rpy_from_matrix
 from roboneuron import (
     ACTION_SIZE,
     ConfigurationError,
@@ -17,7 +18,6 @@ from roboneuron import (
     matrix_from_rotvec,
     rotvec_from_matrix,
 )
-from roboneuron.contract.rotation import F64, matrix_from_rpy, rpy_from_matrix
 
 Meaning = Literal["delta", "absolute"]
 FrameName = Literal["base", "tcp"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from rn_backend_pi0.action_layout import ActionLayout
 from rn_backend_pi0.state import StateLayout
-from roboneuron.contract.rotation import DOWN_ROTVEC_RAD
+from rn_vla.rotation import DOWN_ROTVEC_RAD
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -70,5 +70,5 @@ examples/libero.
 "libero-openpi": the same, but the network's output is relative to the state. Source: openpi training/config.py,
 extra_delta_transform of pi0_libero. openpi's policy server adds the state itself, so the remote backend uses "libero".
 "bridge": metres and radians at 5 Hz, rotation as roll, pitch, yaw, gripper 1 open; the rotation of the state is taken
-against a gripper that points down. Source: see `roboneuron.contract.rotation.rpy_by_down`.
+against a gripper that points down. Source: see `rn_vla.rotation.rpy_by_down`.
 """

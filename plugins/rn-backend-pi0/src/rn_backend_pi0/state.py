@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from rn_vla.rotation import F64, nearer_rotvec, rpy_by_down, rpy_from_matrix
 from roboneuron import (
     Observation,
     Pose,
@@ -16,7 +17,6 @@ from roboneuron import (
     quaternion_from_matrix,
     rotvec_from_matrix,
 )
-from roboneuron.contract.rotation import F64, nearer_rotvec, rpy_by_down, rpy_from_matrix
 
 StateTerm = Literal[
     "position",

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from rn_switching.standby import HANDOVER
 from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
@@ -44,11 +45,15 @@ class Switched:
 
 
 class Switching:
-    """Replaces modules and remembers what was there before; usable from any thread."""
+    """Replaces modules and remembers what was there before; usable from any thread.
+
+    Modules that are started before this is made can only be replaced cold: they are not told of `TimedHandover`.
+    """
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
         self._supervisor = loop.supervisor
+        self._supervisor.handover = HANDOVER
         self._before: dict[ModuleKind, Selection] = {}
 
     def switch(

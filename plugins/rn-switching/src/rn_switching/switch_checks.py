@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from rn_switching.gap import Gap, action_gap
+from roboneuron.contract import ACTION_FIELDS
 from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -96,8 +97,8 @@ class InferenceCheck(SwitchCheck):
 
         def enough() -> bool:
             report = shadow()
-            if "shadow_action" in report.metrics:
-                values = tuple(float(value) for value in report.metrics["shadow_action"].split(","))
+            if "shadow_count" in report.metrics:
+                values = tuple(float(report.metrics[f"shadow_action.{name}"]) for name in ACTION_FIELDS)
                 seen[report.metrics["shadow_count"]] = values
             return len(seen) >= _LOOKS
 
@@ -121,11 +122,11 @@ class InferenceCheck(SwitchCheck):
 
     def has_taken_over(self, new: Report) -> bool:
         """See `SwitchCheck.has_taken_over`."""
-        return "first_action_ns" in new.metrics
+        return "first_sent_ns.action" in new.metrics
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
         """See `SwitchCheck.measure`."""
-        first_ns = _number(new, "first_action_ns")
+        first_ns = _number(new, "first_sent_ns.action")
         return action_gap(self._stream.sent_ns(), first_ns) if first_ns else None
 
 

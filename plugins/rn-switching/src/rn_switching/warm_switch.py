@@ -1,6 +1,6 @@
 """Replacement of a running module between two of its outputs: the new one works in shadow until the handover.
 
-The handover is a moment in the time of the inputs of both (see `roboneuron.modules.handover`). It lies so far ahead
+The handover is a moment in the time of the inputs of both (see `rn_switching.handover`). It lies so far ahead
 that both processes know it beforehand, so neither acts on the other's inputs. Until then nothing changes; if the new
 module does not act in time afterwards, the old one acts again.
 """
@@ -14,10 +14,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from rn_switching.gap import Gap
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, lower
 from rn_switching.standby_slots import adopt, discard, start_standby
 from rn_switching.switch_checks import SwitchCheck
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
-from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
 from roboneuron.server.selection import Selection
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Report
@@ -64,6 +64,7 @@ class WarmSwitch:
         self._kind = check.kind
         self._on_stage = on_stage
         self._late = Lasting()
+        self._is_lowered = False
 
     def run(self) -> Change:
         """Start the new one in shadow, compare, change over, end the old one.
@@ -72,7 +73,7 @@ class WarmSwitch:
             RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
         supervisor = self._supervisor
-        standby = start_standby(supervisor, self._selection, lambda text: self._on_stage(f"new {text}"))
+        standby = start_standby(supervisor, self._selection, self._on_start)
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
@@ -85,6 +86,16 @@ class WarmSwitch:
         self._on_stage(f"{self._kind}: ending the old {self._check.noun}")
         discard(supervisor, old)
         return Change(gap=gap, difference=difference)
+
+    def _on_start(self, stage: str) -> None:
+        """Right after its process was started, the new one is made to give way to the old one while it loads."""
+        if not self._is_lowered:
+            self._is_lowered = True
+            _, *standbys = self._supervisor.slots[self._kind]
+            for slot in standbys:
+                if slot.process is not None:
+                    lower(slot.process.pid)
+        self._on_stage(f"new {stage}")
 
     def _await_listeners(self, standby: Slot) -> None:
         """Whoever hears the old one has to have found the new one too: what is sent to nobody is lost."""
@@ -147,7 +158,10 @@ class WarmSwitch:
         for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
             refused = client.set(values, _FIND_S, lambda: self._healthy(standby))
             if refused:
-                raise StateError(f"The handover was refused: {refused}.")
+                raise StateError(
+                    f"The handover was refused: {refused}.",
+                    hint="To replace a module under another interpreter warm, install rn-switching there too.",
+                )
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
     def _await_first_output(self, standby: Slot, due_s: float, latency_s: float) -> None:

@@ -3,80 +3,28 @@
 numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 """
 
+# fmt: off
+# ruff: noqa: I001
 from roboneuron.contract.action import (
-    ACTION_FIELDS,
-    ACTION_LABEL,
-    ACTION_SIZE,
-    Action,
-    ActionChunk,
-    apply_delta,
-    check_action_vector,
+    ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Action, ActionChunk, apply_delta, check_action_vector,
 )
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
-    CameraProfile,
-    CollisionProfile,
-    Endpoint,
-    GripperProfile,
-    JointLimits,
-    Obstacle,
-    RobotProfile,
-    Workspace,
+    TWIST_FIELDS, CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile,
+    Workspace, check_twist,
 )
 from roboneuron.contract.protocols import (
-    Acceleration,
-    AnyAcceleration,
-    AnyRuntime,
-    Backend,
-    Controller,
-    PerceptionSource,
-    PostureInspector,
-    RobotDriver,
-    Runtime,
-    Topics,
+    Acceleration, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource, PostureInspector, RobotDriver,
+    Runtime, Topics,
 )
-from roboneuron.contract.twist import TWIST_FIELDS, check_twist
 
 __all__ = [
-    "ACTION_FIELDS",
-    "ACTION_LABEL",
-    "ACTION_SIZE",
-    "TWIST_FIELDS",
-    "Acceleration",
-    "Action",
-    "ActionChunk",
-    "AnyAcceleration",
-    "AnyRuntime",
-    "Backend",
-    "CameraCalibration",
-    "CameraProfile",
-    "CollisionProfile",
-    "Controller",
-    "Endpoint",
-    "Frame",
-    "GripperProfile",
-    "Hold",
-    "JointCommand",
-    "JointLimits",
-    "JointSample",
-    "Observation",
-    "Obstacle",
-    "PerceptionSource",
-    "Pose",
-    "Posture",
-    "PostureInspector",
-    "Proximity",
-    "RobotDriver",
-    "RobotProfile",
-    "RobotState",
-    "Runtime",
-    "Topics",
-    "Workspace",
-    "apply_delta",
-    "check_action_vector",
-    "check_rgb8",
-    "check_twist",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "Action", "ActionChunk",
+    "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller",
+    "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation",
+    "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",
+    "RobotState", "Runtime", "Topics", "Workspace", "apply_delta", "check_action_vector", "check_rgb8", "check_twist",
     "frame_from_buffer",
 ]

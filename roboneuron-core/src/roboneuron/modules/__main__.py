@@ -5,23 +5,21 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Callable
 from typing import cast
 
 from pydantic import ValidationError
 
 from roboneuron.errors import StateError
 from roboneuron.log_files import begin_logging
-from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
+from roboneuron.modules.parent_watch import Signals, end_group, follow_parent, watch_stdin
 from roboneuron.modules.settings import MODULE_CLASSES, ModuleSettings
-from roboneuron.modules.signals import Signals
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 
 
 def _read_line() -> str:
-    """The first line of stdin, unbuffered: what follows belongs to the lifeline."""
+    """The first line of stdin, unbuffered: what follows are signs of life and announcements."""
     data = bytearray()
     while not data.endswith(b"\n"):
         byte = os.read(0, 1)
@@ -38,17 +36,12 @@ def _run(settings: ModuleSettings) -> None:
 
     from roboneuron.modules.module import Module, ModuleNode
 
-    def build(node: ModuleNode) -> Module:
-        made = cast(
-            Callable[[ModuleNode], Module], load_attribute(MODULE_CLASSES[settings.kind], "class of the module")
-        )
-        return made(node)
-
     # rclpy's own handlers end the context first: then nobody could publish a last hold.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signals = Signals()
     signals.listen()
-    node = ModuleNode(settings, build)
+    kind = cast("type[Module]", load_attribute(MODULE_CLASSES[settings.kind], "class of the module"))
+    node = ModuleNode(settings, kind)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     watch_stdin(signals.leave, node.note_beat)

@@ -8,30 +8,28 @@ from pathlib import Path
 from typing import Any, cast
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, RobotProfile
+from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import collision_of
-from roboneuron.modules.handover import Handover
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.shadow_controller import ShadowController
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import (
+    commands_from_message,
     joints_from_message,
+    pose_from_message,
     to_joint_command_state,
     to_joint_trajectory,
     to_pose_stamped,
     vector_from_action_message,
 )
-from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _POSE_PERIOD_S = 0.02
@@ -45,69 +43,51 @@ class ControlModule(Module):
     """Executes actions one by one; everything happens in the executor's thread."""
 
     def __init__(self, node: ModuleNode) -> None:
+        """Parse the robot description and subscribe."""
         super().__init__(node)
-        self._controller: Controller | None = None
-        self._profile: RobotProfile | None = None
-        self._command: LifecyclePublisher | None = None
-        self._ee_pose: LifecyclePublisher | None = None
-        self._timer: Any = None
-        self._subscriptions: list[object] = []
-        self._watched: JointWatch | None = None
-        self._guard: MotionGuard | None = None
-        self._handover = Handover()
-        self._shadow: ShadowController | None = None
-        self._told: set[str] = set()
+        config = self.config.control
+        if config is None:
+            raise ConfigurationError("The configuration has no [control] section.")
+        self._limits = config
+        self._is_sent = False
         self._pose_s = 0.0
         self._action_s = 0.0
         self._action_ns = 0
         self._active = False
         self._holding = True
         self._hold_is_due = False
-
-    def configure(self) -> None:
-        """Parse the robot description and subscribe."""
-        config = self.config.control
-        if config is None:
-            raise ConfigurationError("The configuration has no [control] section.")
-        self._limits = config
         registry = discover(self.config.disabled_plugins)
-        plan = check_plan(
-            registry,
-            robot=self.config.robot.name,
-            driver=self.config.robot.driver,
-            perception=None,
-            controller=config.controller,
-            backend=None,
-            runtime=None,
-            acceleration=None,
-        )
-        assert plan.controller is not None
-        profile = load_profile(registry, self.config.robot.name)
+        section = self.config.robot
+        check_plan(registry, robot=section.name, driver=section.driver, controller=config.controller)
+        profile = load_profile(registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
-        options = self.config.options(plan.controller.name)
-        self._controller = cast("Controller", build(plan.controller, options, self._profile))
+        spec = registry.get("controller", config.controller)
+        self._controller = cast("Controller", build(spec, self.config.options(spec.name), self._profile))
+        node.resources.callback(self._controller.close)
         self._controller.load()
         self._watched = JointWatch(self._profile, config.state_timeout_s)
+        state = Path(node.settings.state_directory)
+        immediate = config.command == "joint_state"
         self._guard = MotionGuard(
-            self.config, self._profile, self._controller, self.status, Path(self.settings.state_directory)
+            self.config.limits,
+            self._profile,
+            self._controller,
+            self.status,
+            state,
+            immediate=immediate,
+            longest_s=self.config.robot.server_timeout_s,  # a longer command would outlive a frozen control
         )
-        self.status.set_value("controller", plan.controller.name)
-        self._ee_pose = self.node.create_lifecycle_publisher(PoseStamped, EE_POSE, NEWEST)
-        self._command = (
-            self.node.create_lifecycle_publisher(JointTrajectory, JOINT_TRAJECTORY, NEWEST)
-            if config.command == "joint_trajectory"
-            else self.node.create_lifecycle_publisher(JointState, JOINT_COMMAND, NEWEST)
-        )
-        self._subscriptions = [
-            self.node.create_subscription(JointState, JOINT_STATES, self._on_joint_state, NEWEST),
-            self.node.create_subscription(Float64MultiArray, ACTION, self._on_action, NEWEST),
-        ]
-        self._handover.serve(self.node, shadow=self.settings.shadow)
-        if self.settings.shadow:
-            self._shadow = ShadowController(
-                self.node, self.status, config.command, self._controller.forward, self._on_predecessor
-            )
-        self._timer = self.node.create_timer(config.action_timeout_s / 5, self._watch)
+        node.resources.callback(self._guard.close)
+        self._ee_pose = node.advertise(PoseStamped, EE_POSE)
+        commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
+        self._command = node.advertise(*commands)
+        node.subscribe(JointState, JOINT_STATES, self._on_joint_state)
+        node.subscribe(Float64MultiArray, ACTION, self._on_action)
+        if node.settings.shadow:
+            node.subscribe(PoseStamped, EE_POSE, self._on_predecessors_pose)
+            node.subscribe(*commands, self._on_predecessors_command)
+        node.repeat(config.action_timeout_s / 5, self._watch)
+        self.status.set_value("controller", spec.name)
 
     def activate(self) -> None:
         """Ready once a joint state has been turned into a TCP pose."""
@@ -122,50 +102,20 @@ class ControlModule(Module):
             self._hold("deactivated", "Control was deactivated.")
         self._active = False
 
-    def close(self) -> None:
-        """Release the controller and the topics."""
-        self._active = False
-        if self._timer is not None:
-            self.node.destroy_timer(self._timer)
-            self._timer = None
-        for subscription in self._subscriptions:
-            self.node.destroy_subscription(subscription)
-        self._subscriptions.clear()
-        if self._shadow is not None:
-            self._shadow.close()
-            self._shadow = None
-        for publisher in (self._command, self._ee_pose):
-            if publisher is not None:
-                self.node.destroy_lifecycle_publisher(publisher)
-        self._command = self._ee_pose = None
-        if self._guard is not None:
-            self._guard.close()
-        if self._controller is not None:
-            self._controller.close()
-        self._controller = self._guard = self._watched = None
-
     def emergency_stop(self, latched: bool) -> None:
         """Hold as long as the latch is set."""
         if latched and self._active:
             self._hold("emergency_stop", "The emergency stop is latched.")
 
-    @property
-    def _joints(self) -> JointSample | None:
-        """Newest joint state that was believed."""
-        return None if self._watched is None else self._watched.joints
-
     def _on_joint_state(self, message: JointState) -> None:
-        if self._watched is None:
-            return
         now_s = time.monotonic()
         try:
             joints = joints_from_message(message)
-            is_new = self._watched.accept(joints, now_s, int(self.node.get_clock().now().nanoseconds))
-            if is_new and self._shadow is not None:
-                self._shadow.see(joints)
-            if is_new and self._active and self._hold_is_due:
+            if not self._watched.accept(joints, now_s, self.node.now_ns()) or not self._active:
+                return
+            if self._hold_is_due:
                 self._command_hold(joints)
-            if is_new and self._active and now_s - self._pose_s >= _POSE_PERIOD_S:
+            if now_s - self._pose_s >= _POSE_PERIOD_S or self.handover.is_shadow(joints.stamp_ns):
                 self._publish_pose(joints)
                 self._pose_s = now_s
         except RoboNeuronError as error:
@@ -173,21 +123,21 @@ class ControlModule(Module):
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
-        assert self._controller is not None
-        assert self._ee_pose is not None
-        assert self._profile is not None
         pose = self._controller.forward(joints)
-        if self._handover.is_ours(joints.stamp_ns):
+        if self.handover.is_shadow(joints.stamp_ns):
+            self.handover.withhold(pose)
+        elif not self.handover.is_over(joints.stamp_ns):
             self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
-            self._tell("pose")
+            self.handover.note_sent("pose")
         self.status.clear_error()
         self.status.set_ready()
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        if not self._active or self._handover.is_over(int(info["source_timestamp"])):
+        source_ns = int(info["source_timestamp"])
+        if not self._active or self.handover.is_over(source_ns):
             return
-        age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
-        reason = self._why_not(age_s, int(info["source_timestamp"]))
+        age_s = (time.time_ns() - source_ns) / 1e9
+        reason = self._why_not(age_s, source_ns)
         if reason is not None:
             self.status.dropped.add(reason)
             return
@@ -197,7 +147,7 @@ class ControlModule(Module):
             self.status.dropped.add("non_finite" if isinstance(error, UnsafeError) else "malformed")
             self.status.set_error(error)
             return
-        self._execute(action, int(info["source_timestamp"]), age_s)
+        self._execute(action, source_ns, age_s)
 
     def _why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None."""
@@ -220,21 +170,19 @@ class ControlModule(Module):
         return self.node.server_silence_s() > self._limits.server_timeout_s
 
     def _are_joints_stale(self) -> bool:
-        return self._watched is None or self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
+        return self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
 
     def _execute(self, action: Action, source_ns: int, age_s: float) -> None:
-        joints = self._joints
-        assert self._controller is not None
-        assert self._guard is not None
-        assert joints is not None
+        joints = self._watched.joints
+        if joints is None:  # excluded by `_why_not`
+            return
         now_s = time.monotonic()
         since_s = now_s - self._action_s
         step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else _FIRST_STEP_S
         self._action_ns = source_ns
         answer = self._controller.compute(action, joints, step_s)
-        if self._handover.is_shadow(source_ns):
-            if self._shadow is not None:
-                self._shadow.answer(answer)
+        if self.handover.is_shadow(source_ns):
+            self.handover.withhold(answer)
             return
         outcome: JointCommand | Hold | None = answer
         if isinstance(outcome, JointCommand):
@@ -248,7 +196,8 @@ class ControlModule(Module):
             self._hold(outcome.code, outcome.reason)
             return
         self._send(outcome)
-        self._tell("command")
+        self.handover.note_sent("command")
+        self._is_sent = True
         self._holding = self._hold_is_due = False
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
@@ -281,35 +230,33 @@ class ControlModule(Module):
             return
         self._holding = True
         self.status.dropped.add("holds")
-        joints = self._joints
+        joints = self._watched.joints
         if joints is None or self._are_joints_stale():
             self._hold_is_due = True
             return
         self._command_hold(joints)
 
     def _is_ours_now(self) -> bool:
-        return self._handover.is_ours(time.time_ns())
+        return self.handover.is_ours(time.time_ns())
 
-    def _on_predecessor(self, command: JointCommand, sent_s: float) -> None:
-        """Go on from where the arm was sent by the control before this one."""
-        joints = self._joints
-        if "command" in self._told or joints is None or self._guard is None:
+    def _on_predecessors_pose(self, message: PoseStamped) -> None:
+        self.handover.hear(pose_from_message(message), time.monotonic())
+
+    def _on_predecessors_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
+        """Go on from where the control before this one has sent the arm."""
+        try:
+            command = commands_from_message(message)[0]
+        except RoboNeuronError:
+            self.status.dropped.add("malformed_command")
             return
-        self._guard.follow(command, joints, sent_s)
-        self._action_s, self._holding = sent_s, False
-
-    def _tell(self, what: str) -> None:
-        """Tell when the first and the newest of its kind went out: a change-over is confirmed and measured by that."""
-        now_ns = time.time_ns()
-        self.status.set_value(f"last_sent_ns.{what}", now_ns)
-        if what not in self._told:
-            self._told.add(what)
-            self.status.set_value(f"first_sent_ns.{what}", now_ns)
-            self.status.changed.set()
+        sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)
+        joints = self._watched.joints
+        if not self._is_sent and joints is not None:
+            self._guard.follow(command, joints, sent_s)
+            self._action_s, self._holding = sent_s, False
+        self.handover.hear(command, sent_s)
 
     def _command_hold(self, joints: JointSample) -> None:
-        assert self._profile is not None
-        assert self._guard is not None
         self._hold_is_due = False
         index = [joints.names.index(name) for name in self._profile.arm_joints]
         self._send(
@@ -318,8 +265,7 @@ class ControlModule(Module):
         self._guard.rest(joints, time.monotonic())
 
     def _send(self, command: JointCommand) -> None:
-        assert self._command is not None
         if self._limits.command == "joint_trajectory":
             self._command.publish(to_joint_trajectory(command))
         else:
-            self._command.publish(to_joint_command_state(command, int(self.node.get_clock().now().nanoseconds)))
+            self._command.publish(to_joint_command_state(command, self.node.now_ns()))

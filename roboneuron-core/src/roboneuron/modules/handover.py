@@ -1,98 +1,100 @@
-"""Handover between two modules of one kind at a moment in the time of their inputs.
-
-Both modules are active on the same topics. Inputs stamped before the moment belong to the old module, later ones to the
-new module, so nothing is acted on twice and nothing is left out, however long the messages about it take. Before the
-handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference compares the capture
-time of images, perception the capture time of its own images, control the times at which actions were sent and joints
-measured.
-
-A moment is a ROS time only for as long as messages from before it may still be on their way. After that it is past for
-good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow again.
-"""
+"""Which inputs are this module's, where a feature replaces running modules by others."""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import cast
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from roboneuron.modules.settings import ACT_FROM, ACT_UNTIL, HANDOVER_PARAMETERS, NEVER_NS, PLAY_UNTIL
+from roboneuron.contract import ActionChunk, Hold, JointCommand, Pose
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.status import ModuleStatus
+from roboneuron.plugins.loading import load_attribute
 
-_SETTLE_S = 5.0
-"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
-_FARTHEST_S = 10.0
-"""A moment farther ahead than this was made before the clock was set."""
+log = logging.getLogger(__name__)
 
 
 class Handover:
-    """The three moments of a handover; read by the module's threads, set by the executor's.
+    """What a module asks about its inputs; the answers here are those of a module that nobody replaces.
+
+    A feature names its own class in `Supervisor.handover`; it decides and compares, and has no access to ROS. Inputs
+    are told apart by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent and
+    joints measured. Methods are called from any of the module's threads.
 
     Args:
-        now_ns: ROS time [ns].
-        now_s: monotonic time [s].
+        shadow: the module was started beside a running one.
+        status: where to report.
+
+    Attributes:
+        moments: integer parameters of the node and their first values; `set` is told of every change.
     """
 
-    def __init__(self, now_ns: Callable[[], int] = time.time_ns, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_ns = now_ns
-        self._now_s = now_s
-        self._moments_ns = dict.fromkeys(HANDOVER_PARAMETERS, 0)
-        self._past_s = dict.fromkeys(HANDOVER_PARAMETERS, math.inf)
+    moments: Mapping[str, int] = MappingProxyType({})
 
-    def serve(self, node: Node, *, shadow: bool) -> None:
-        """Let the moments be set as parameters of `node`; does nothing the second time.
+    def __init__(self, shadow: bool, status: ModuleStatus) -> None:
+        self.status = status
 
-        Args:
-            node: of a module without other parameters to check.
-            shadow: the module starts in shadow.
-        """
-        if node.has_parameter(ACT_FROM):
-            return
-        node.add_on_set_parameters_callback(self._on_parameters)
-        for name in HANDOVER_PARAMETERS:
-            node.declare_parameter(name, NEVER_NS if shadow and name == ACT_FROM else 0)
+    def set(self, moments: Mapping[str, int]) -> None:
+        """Take over new values, each 0 or more."""
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        moments = [parameter for parameter in parameters if parameter.name in HANDOVER_PARAMETERS]
-        refused = next((reason for moment in moments if (reason := self.check(moment))), "")
-        if not refused:
-            self.set(moments)
-        return SetParametersResult(successful=not refused, reason=refused)
-
-    def check(self, parameter: Parameter) -> str:
-        """Why the parameter's value is no moment; empty when it is one."""
-        if parameter.type_ is not Parameter.Type.INTEGER or parameter.value < 0:
-            return f"{parameter.name} must be a ROS time in nanoseconds"
-        return ""
-
-    def set(self, parameters: Sequence[Parameter]) -> None:
-        """Take over checked values."""
-        for parameter in parameters:
-            moment_ns = int(parameter.value)
-            ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
-            is_moment = moment_ns not in (0, NEVER_NS)
-            self._past_s[parameter.name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
-            self._moments_ns[parameter.name] = moment_ns
+    def begin(self) -> None:
+        """The module is configured."""
 
     def is_shadow(self, stamp_ns: int) -> bool:
-        """What is stamped `stamp_ns` is for looking only."""
-        return stamp_ns < self._moments_ns[ACT_FROM] and self._now_s() < self._past_s[ACT_FROM]
+        """Whether that input is still the predecessor's: work on it, and send nothing."""
+        return False
 
     def is_over(self, stamp_ns: int) -> bool:
-        """What is stamped `stamp_ns` is the successor's."""
-        return self._has_come(ACT_UNTIL, stamp_ns)
+        """Whether that input is already the successor's."""
+        return False
 
     def is_ours(self, stamp_ns: int) -> bool:
-        """What is stamped `stamp_ns` is to be acted on by this module."""
+        """Whether this module is to act on that input."""
         return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
 
     def must_fall_silent(self, now_ns: int) -> bool:
-        """The rest of a chunk is the successor's to replace."""
-        return self._has_come(PLAY_UNTIL, now_ns)
+        """Whether the successor replaces what is left of a chunk."""
+        return False
 
-    def _has_come(self, name: str, stamp_ns: int) -> bool:
-        until_ns = self._moments_ns[name]
-        return until_ns != 0 and (stamp_ns >= until_ns or self._now_s() >= self._past_s[name])
+    def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
+        """What the module would have sent for an input of the predecessor."""
+
+    def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
+        """What the predecessor has sent, and when [monotonic s]; called in shadow."""
+
+    def note_sent(self, what: str) -> None:
+        """An output of that name has gone out."""
+
+
+def load_handover(node: Node, settings: ModuleSettings, status: ModuleStatus) -> Handover:
+    """Build the class that the settings name, and declare its parameters on `node`; logs when it cannot be had."""
+    target = Handover
+    if settings.handover is not None:
+        try:
+            target = cast("type[Handover]", load_attribute(settings.handover, "handover of a feature"))
+        except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
+            log.exception("This module cannot be replaced while it runs.")
+    handover = target(settings.shadow, status)
+
+    def check(parameters: Sequence[Parameter]) -> SetParametersResult:
+        wrong = [p for p in parameters if p.name in handover.moments and not _is_moment(p)]
+        reason = f"{wrong[0].name} must be a ROS time in nanoseconds" if wrong else ""
+        return SetParametersResult(successful=not wrong, reason=reason)
+
+    def take(parameters: Sequence[Parameter]) -> None:
+        handover.set({p.name: int(p.value) for p in parameters if p.name in handover.moments})
+
+    node.add_on_set_parameters_callback(cast(Callable[..., SetParametersResult], check))
+    node.add_post_set_parameters_callback(take)
+    for name, value_ns in handover.moments.items():
+        node.declare_parameter(name, value_ns)
+    return handover
+
+
+def _is_moment(parameter: Parameter) -> bool:
+    return parameter.type_ is Parameter.Type.INTEGER and parameter.value >= 0

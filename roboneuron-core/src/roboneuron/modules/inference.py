@@ -11,33 +11,26 @@ from dataclasses import replace
 from typing import cast
 
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.lifecycle import LifecyclePublisher
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import ActionChunk, AnyRuntime, Backend, CameraProfile, Observation
+from roboneuron.contract import ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.handover import Handover
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.player import ChunkPlayer
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import ACT_FROM, HANDOVER_PARAMETERS, INSTRUCTION_PARAMETER, NEVER_NS
 from roboneuron.modules.worker import Worker
-from roboneuron.planning import check_plan
+from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_action_message
-from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image, camera_info
 
 _WAIT_S = 0.1
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
 """A backend is stalled when it takes three times as long as it usually does; before the first prediction, after 5 s."""
-_PACE = 0.8
-"""The next inference may start after this share of a step has passed since the last action went out."""
 SILENCE_S = 1.0
 """Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
 _SOURCES = {
@@ -49,49 +42,30 @@ log = logging.getLogger(__name__)
 
 
 class InferenceModule(Module):
-    """Runs one backend on the newest observation and publishes its actions one per step."""
+    """Runs one backend on the newest observation, on a thread of its own, and publishes its actions one per step.
+
+    One turn of the thread observes, predicts and plays; each of the three is a part of its own.
+    """
 
     def __init__(self, node: ModuleNode) -> None:
-        super().__init__(node)
-        self._backend: Backend | None = None
-        self._runtime: AnyRuntime | None = None
-        self._publisher: LifecyclePublisher | None = None
-        self._subscriptions: list[object] = []
-        self._inputs: NewestInputs | None = None
-        self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
-        self._instruction = Instruction(self.status)
-        self._handover = Handover()
-        self._next_s = 0.0
-        self._shadow_count = 0
-        self._took_s: deque[float] = deque(maxlen=_RECENT)
-        self._has_acted = False
-
-    def configure(self) -> None:
         """Load the backend (weights and warm-up included), then subscribe to its inputs."""
-        config = self.config.inference
+        super().__init__(node)
+        config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
         registry = discover(self.config.disabled_plugins)
         plan = check_plan(
             registry,
-            robot=self.config.robot.name,
-            driver=self.config.robot.driver,
-            perception=None,
-            controller=None,
+            robot=robot.name,
+            driver=robot.driver,
             backend=config.backend,
             runtime=config.runtime,
             acceleration=config.acceleration,
             cameras=config.cameras,
         )
-        profile = load_profile(registry, self.config.robot.name)
-        cameras: dict[str, CameraProfile] = {}
-        for role, name in plan.cameras.items():
-            camera = profile.camera(name)
-            if camera is None:
-                raise ConfigurationError(f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}.")
-            cameras[role] = camera
-        spec = plan.backend
-        assert spec is not None
+        spec = registry.get("backend", config.backend)
+        profile = load_profile(registry, robot.name)
+        cameras = _cameras(plan, profile)
         options = dict(self.config.options(spec.name))
         if config.checkpoint is not None:
             options["checkpoint"] = config.checkpoint
@@ -101,12 +75,14 @@ class InferenceModule(Module):
         }
         self._runtime = cast("AnyRuntime | None", parts["runtime"])
         self._backend = cast("Backend", build(spec, options, **parts))
+        node.resources.callback(self._backend.close)
         started_s = time.monotonic()
         self._backend.load()
         self.status.set_value("load_s", time.monotonic() - started_s)
         self.status.set_value("backend", spec.name)
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
         self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
             optional=frozenset(spec.optional_cameras),
@@ -114,18 +90,20 @@ class InferenceModule(Module):
             gripper=profile.gripper,
             max_age_s=config.max_image_age_s,
             status=self.status,
-            now_ns=lambda: int(self.node.get_clock().now().nanoseconds),
+            now_ns=node.now_ns,
         )
-        self._subscribe(self._inputs)
-        self._publisher = self.node.create_lifecycle_publisher(Float64MultiArray, ACTION, NEWEST)
-        self._declare_parameters(config.instruction)
+        self._subscribe(cameras, with_state=spec.needs_state)
+        self._publisher = node.advertise(Float64MultiArray, ACTION)
+        self._player = ChunkPlayer(self._send)
+        self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
+        node.resources.callback(self._worker.stop, give_up=self._give_up)
+        self._instruction = Instruction(node, config.instruction)
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
-        assert self._inputs is not None
         self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
         self._instruction.restart()
-        self._next_s = 0.0
+        self._player.restart()
         self.status.set_waiting(self._inputs.missing() or "the first action")
         self._worker.start()
 
@@ -133,19 +111,6 @@ class InferenceModule(Module):
         """Stop publishing at once; a prediction in progress is given up, or thrown away."""
         if not self._worker.stop(give_up=self._give_up):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
-
-    def close(self) -> None:
-        """Release the backend and the topics."""
-        self._worker.stop(give_up=self._give_up)
-        if self._backend is not None:
-            self._backend.close()
-            self._backend = self._runtime = None
-        for subscription in self._subscriptions:
-            self.node.destroy_subscription(subscription)
-        self._subscriptions.clear()
-        if self._publisher is not None:
-            self.node.destroy_lifecycle_publisher(self._publisher)
-            self._publisher = None
 
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
@@ -156,47 +121,40 @@ class InferenceModule(Module):
         except Exception:  # the module border: silence matters more than what a plugin says about it
             log.exception("the runtime could not give up its prediction")
 
-    def _subscribe(self, inputs: NewestInputs) -> None:
-        for role, camera in inputs.cameras.items():
-            self._subscriptions += [
-                self.node.create_subscription(
-                    CameraInfo, camera_info(camera.name), inputs.camera_info_callback(role), NEWEST
-                ),
-                self.node.create_subscription(Image, camera_image(camera.name), inputs.image_callback(role), NEWEST),
-            ]
-        if inputs.needs_state:
-            self._subscriptions += [
-                self.node.create_subscription(JointState, JOINT_STATES, inputs.on_joint_state, NEWEST),
-                self.node.create_subscription(PoseStamped, EE_POSE, inputs.on_ee_pose, NEWEST),
-            ]
-
-    def _declare_parameters(self, instruction: str) -> None:
-        if not self.node.has_parameter(INSTRUCTION_PARAMETER):
-            self.node.add_on_set_parameters_callback(self._on_parameters)
-            for name in HANDOVER_PARAMETERS:
-                self.node.declare_parameter(name, NEVER_NS if self.settings.shadow and name == ACT_FROM else 0)
-            self.node.declare_parameter(INSTRUCTION_PARAMETER, instruction)
-        else:
-            self.node.set_parameters([Parameter(INSTRUCTION_PARAMETER, value=instruction)])
-
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take all of them or none."""
-        moments = [p for p in parameters if p.name in HANDOVER_PARAMETERS]
-        instructions = [p for p in parameters if p.name == INSTRUCTION_PARAMETER]
-        reasons = [self._handover.check(p) for p in moments] + [self._instruction.check(p) for p in instructions]
-        refused = next((reason for reason in reasons if reason), "")
-        if refused:
-            return SetParametersResult(successful=False, reason=refused)
-        self._handover.set(moments)
-        for parameter in instructions:
-            self._instruction.set(str(parameter.value))
-        return SetParametersResult(successful=True)
+    def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
+        for role, camera in cameras.items():
+            self.node.subscribe(CameraInfo, camera_info(camera.name), self._inputs.camera_info_callback(role))
+            self.node.subscribe(Image, camera_image(camera.name), self._inputs.image_callback(role))
+        if with_state:
+            self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
+            self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
 
     def _step(self, stop: threading.Event) -> None:
-        assert self._inputs is not None
-        remaining_s = self._next_s - time.monotonic()
-        if remaining_s > 0 and stop.wait(remaining_s):
+        if self._player.wait(stop):
             return
+        observation = self._observe()
+        if observation is None:
+            return
+        if self.handover.is_over(self._inputs.captured_ns(observation)):
+            self.status.set(note="handed over to the successor")
+            return
+        count, instruction = self._instruction.count, self._instruction.text
+        if not instruction:
+            self.status.set(note="waiting for an instruction")
+            self.status.set_ready()
+            return
+        observation = replace(observation, instruction=instruction)
+        chunk = self._predict(observation)
+        if self.handover.is_shadow(self._inputs.captured_ns(observation)):
+            self.status.set(note="in shadow")
+            self.handover.withhold(chunk)
+            self._note_first(observation)
+            return
+        self.status.set(note=chunk.note)
+        self._player.play(chunk, observation, stop, lambda: self._is_cut(count))
+
+    def _observe(self) -> Observation | None:
+        """The newest observation, without its instruction; None when there is none to act on now."""
         observation = self._inputs.wait(_WAIT_S)
         if observation is None:
             missing = self._inputs.missing()
@@ -208,92 +166,64 @@ class InferenceModule(Module):
                     f"No usable {what} for {self._inputs.silence_s():.1f} s; actions have stopped.",
                     hint=f"Is {source} running, and is its clock right?",
                 )
-            return
-        if self._handover.is_over(self._inputs.captured_ns(observation)):
-            self.status.set(note="handed over to the successor")
-            return
-        self._act(observation, stop)
+        return observation
 
-    def _act(self, observation: Observation, stop: threading.Event) -> None:
-        """Predict, and publish unless this module works in shadow."""
-        assert self._backend is not None
-        assert self._inputs is not None
-        count, instruction = self._instruction.count, self._instruction.text
-        if not instruction:
-            self.status.set(note="waiting for an instruction")
-            self.status.set_ready()
-            return
+    def _predict(self, observation: Observation) -> ActionChunk:
+        """Ask the backend. Raises NotReadyError when the image has become too old to act on meanwhile."""
         if self._instruction.is_new:
             self._instruction.is_new = False
             self._backend.reset()
         started_s = time.monotonic()
-        chunk = self._backend.predict(replace(observation, instruction=instruction))
+        chunk = self._backend.predict(observation)
         took_s = time.monotonic() - started_s
-        self.status.set_value("inference_ms", took_s * 1e3)
         self._took_s.append(took_s)
         self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)
         self._worker.progress()
+        self.status.set_value("inference_ms", took_s * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
-        self._check_age(observation, took_s)
-        if not self._handover.is_shadow(self._inputs.captured_ns(observation)):
-            self.status.set(note=chunk.note)
-            self._play(chunk, observation, count, stop)
-            return
-        self.status.set(note="in shadow")
-        self.status.set_value("shadow_action", ",".join(f"{value:.5g}" for value in chunk.actions[0]))
-        self._shadow_count += 1
-        self.status.set_value("shadow_count", self._shadow_count)
-        self._note_first(observation)
-
-    def _check_age(self, observation: Observation, took_s: float) -> None:
-        """Raise NotReadyError for an answer to an image that has become too old to act on meanwhile."""
-        assert self._inputs is not None
         age_s = self._inputs.age_s(observation)
-        if age_s <= self._inputs.max_age_s:
-            return
-        self.status.dropped.add("late_action")
-        raise NotReadyError(
-            f"The backend answered after {took_s:.2f} s, to an image that was {age_s:.2f} s old by then; "
-            f"max_image_age_s = {self._inputs.max_age_s:g} are allowed, so nothing was published.",
-            hint="Make the backend faster, or allow older images under [inference].",
-        )
+        if age_s > self._inputs.max_age_s:
+            self.status.dropped.add("late_action")
+            raise NotReadyError(
+                f"The backend answered after {took_s:.2f} s, to an image that was {age_s:.2f} s old by then; "
+                f"max_image_age_s = {self._inputs.max_age_s:g} are allowed, so nothing was published.",
+                hint="Make the backend faster, or allow older images under [inference].",
+            )
+        return chunk
+
+    def _is_cut(self, count: int) -> bool:
+        """Whether the rest of a chunk is not to be played: another instruction than number `count`, or a stop."""
+        is_other = self._instruction.count != count
+        return is_other or self.node.stopped or self.handover.must_fall_silent(self.node.now_ns())
+
+    def _send(self, chunk: ActionChunk, index: int, observation: Observation) -> None:
+        """Publish one row."""
+        self.handover.note_sent("action")
+        self._publisher.publish(to_action_message(chunk.actions[index]))
+        self._worker.progress()
+        self.status.output.tick()
+        self._instruction.note_action()
+        if index == 0:
+            self._note_first(observation)
+        self.status.set_value("chunk_row", index + 1)
+        self.status.set_value("chunk_rows", len(chunk.actions))
 
     def _note_first(self, observation: Observation) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
-        assert self._inputs is not None
         age_ms = self._inputs.age_s(observation) * 1e3
         self.status.latency.add(age_ms)
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()
 
-    def _note_handover(self) -> None:
-        """Tell when the first action of all goes out: by that a change-over is confirmed and measured."""
-        if not self._has_acted:
-            self._has_acted = True
-            self.status.set_value("first_action_ns", time.time_ns())
-            self.status.changed.set()
 
-    def _play(self, chunk: ActionChunk, observation: Observation, count: int, stop: threading.Event) -> None:
-        """Publish one action per `step_s`; a new instruction, a successor or the end of activity cuts the chunk."""
-        assert self._publisher is not None
-        start_s = time.monotonic()
-        horizon = len(chunk.actions)
-        for index, vector in enumerate(chunk.actions):
-            delay_s = start_s + index * chunk.step_s - time.monotonic()
-            if delay_s > 0:
-                stop.wait(delay_s)
-            if stop.is_set() or self._instruction.count != count or self.node.stopped:
-                return
-            if self._handover.must_fall_silent(int(self.node.get_clock().now().nanoseconds)):
-                return
-            self._note_handover()
-            self._publisher.publish(to_action_message(vector))
-            self._worker.progress()
-            self.status.output.tick()
-            self._instruction.note_action()
-            if index == 0:
-                self._note_first(observation)
-            self.status.set_value("chunk_position", f"{index + 1}/{horizon}")
-        self._next_s = time.monotonic() + _PACE * chunk.step_s
+def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:
+    """Camera by role. Raises ConfigurationError for one that the descriptor names and the profile does not."""
+    cameras: dict[str, CameraProfile] = {}
+    for role, name in plan.cameras.items():
+        camera = profile.camera(name)
+        if camera is None:
+            raise ConfigurationError(f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}.")
+        cameras[role] = camera
+    return cameras

@@ -5,21 +5,83 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
-from roboneuron.contract import CameraProfile, Frame, GripperProfile, JointSample, Observation, Pose
+from roboneuron.contract import (
+    CameraCalibration,
+    CameraProfile,
+    Frame,
+    GripperProfile,
+    JointSample,
+    Observation,
+    Pose,
+)
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.modules.sight import CalibratedCamera
 from roboneuron.modules.status import ModuleStatus
-from roboneuron.ros.messages import joints_from_message, pose_from_message
+from roboneuron.ros.messages import (
+    frame_from_message,
+    intrinsics_from_camera_info,
+    joints_from_message,
+    pose_from_message,
+)
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
 
 _HAND_OVER_S = 1e-5
 _FUTURE_NS = 100_000_000
 """How far the clock of a camera on another machine may be ahead of this one."""
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
+
+
+class CalibratedCamera:
+    """Turns a camera's images into frames.
+
+    Where the camera is mounted comes from the robot's profile; its intrinsics come from the `camera_info` published
+    beside the images, and from the profile, scaled to the image, as long as none was published for that image size.
+    """
+
+    def __init__(self, profile: CameraProfile) -> None:
+        self._profile = profile
+        self._shape: tuple[int, ...] = ()
+        self._calibrations: dict[tuple[int, int], CameraCalibration | None] = {}
+        self._published: dict[tuple[int, int], tuple[float, ...]] = {}
+
+    def set_info(self, message: CameraInfo) -> None:
+        """Take the intrinsics of images of this size.
+
+        Raises:
+            InvalidInputError: the message holds no calibration.
+        """
+        size, values = (int(message.width), int(message.height)), tuple(np.asarray(message.k).tolist())
+        mounted = self._profile.calibration
+        if mounted is None or self._published.get(size) == values:
+            return
+        self._calibrations[size] = replace(mounted, intrinsics=intrinsics_from_camera_info(message))
+        self._published[size] = values
+
+    def to_frame(self, message: Image) -> Frame:
+        """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
+
+        Raises:
+            InvalidInputError: the image is damaged, or of another size than the first one: a camera that changes its
+                size is another camera, and what was calibrated for it no longer holds.
+        """
+        size = (int(message.width), int(message.height))
+        if size not in self._calibrations:
+            self._calibrations[size] = self._profile.calibration_at(*size)
+        frame = frame_from_message(message, self._profile.name, self._calibrations[size])
+        shape, expected = frame.image.shape, self._shape or frame.image.shape
+        if shape != expected:
+            raise InvalidInputError(
+                f"Camera {frame.camera!r} changed its image size from {expected[1]}x{expected[0]} to "
+                f"{shape[1]}x{shape[0]}; its images are not acted on.",
+                hint="Restart perception and inference if that is meant.",
+            )
+        self._shape = shape
+        return frame
 
 
 class NewestInputs:
@@ -48,7 +110,7 @@ class NewestInputs:
         self._status = status
         self._now_ns = now_ns
         self._frames: dict[str, Frame] = {}
-        self._sights = {role: CalibratedCamera(camera) for role, camera in self.cameras.items()}
+        self._calibrated = {role: CalibratedCamera(camera) for role, camera in self.cameras.items()}
         self._joints: JointSample | None = None
         self._ee_pose: Pose | None = None
         self._fresh = threading.Condition()
@@ -59,11 +121,11 @@ class NewestInputs:
 
     def image_callback(self, role: str) -> Callable[[Image], None]:
         """Return the subscription callback of the camera with that role."""
-        sight = self._sights[role]
+        camera = self._calibrated[role]
 
         def on_image(message: Image) -> None:
             try:
-                frame = sight.to_frame(message)
+                frame = camera.to_frame(message)
             except InvalidInputError as error:
                 self._status.dropped.add("bad_image")
                 self._status.set_error(error)
@@ -79,11 +141,11 @@ class NewestInputs:
 
     def camera_info_callback(self, role: str) -> Callable[[CameraInfo], None]:
         """Return the subscription callback of the calibration of the camera with that role."""
-        sight = self._sights[role]
+        camera = self._calibrated[role]
 
         def on_camera_info(message: CameraInfo) -> None:
             try:
-                sight.set_info(message)
+                camera.set_info(message)
             except InvalidInputError as error:
                 self._status.dropped.add("bad_camera_info")
                 self._status.set_error(error)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.module import ModuleNode
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER
 
 MAX_INSTRUCTION_LENGTH = 1000
 
@@ -18,30 +20,18 @@ class Instruction:
         is_new: the backend has not been reset for it yet.
     """
 
-    def __init__(self, status: ModuleStatus) -> None:
-        self._status = status
+    def __init__(self, node: ModuleNode, text: str) -> None:
+        self._status = node.status
         self.text = ""
         self.count = 0
         self.is_new = True
         self._actions = 0
-
-    def check(self, parameter: Parameter) -> str:
-        """Why the parameter's value cannot be an instruction; empty when it can."""
-        if parameter.type_ is not Parameter.Type.STRING:
-            return "instruction must be a string"
-        if len(parameter.value) > MAX_INSTRUCTION_LENGTH:
-            return f"instruction is {len(parameter.value)} characters long, at most {MAX_INSTRUCTION_LENGTH}"
-        return ""
-
-    def set(self, text: str) -> None:
-        """Begin with a new instruction; an old failure no longer counts."""
-        self.text = text.strip()
-        self.count += 1
-        self.restart()
-        self._status.clear_error()
-        self._status.set(instruction=self.text)
-        self._status.set(instruction_count=self.count)
-        self._status.changed.set()
+        node.add_on_set_parameters_callback(self._check)
+        node.resources.callback(node.remove_on_set_parameters_callback, self._check)
+        node.add_post_set_parameters_callback(self._take)
+        node.resources.callback(node.remove_post_set_parameters_callback, self._take)
+        node.declare_parameter(INSTRUCTION_PARAMETER, text)
+        node.resources.callback(node.undeclare_parameter, INSTRUCTION_PARAMETER)
 
     def restart(self) -> None:
         """Begin with the same instruction again."""
@@ -53,3 +43,27 @@ class Instruction:
         """Count one published action."""
         self._actions += 1
         self._status.set(actions_for_instruction=self._actions)
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        reason = next((refused for p in parameters if p.name == INSTRUCTION_PARAMETER and (refused := _refusal(p))), "")
+        return SetParametersResult(successful=not reason, reason=reason)
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        """Begin with a new instruction; an old failure no longer counts."""
+        for parameter in parameters:
+            if parameter.name != INSTRUCTION_PARAMETER:
+                continue
+            self.text = str(parameter.value).strip()
+            self.count += 1
+            self.restart()
+            self._status.clear_error()
+            self._status.set(instruction=self.text, instruction_count=self.count)
+            self._status.changed.set()
+
+
+def _refusal(parameter: Parameter) -> str:
+    if parameter.type_ is not Parameter.Type.STRING:
+        return "instruction must be a string"
+    if len(parameter.value) > MAX_INSTRUCTION_LENGTH:
+        return f"instruction is {len(parameter.value)} characters long, at most {MAX_INSTRUCTION_LENGTH}"
+    return ""

@@ -29,6 +29,7 @@ class JointWatch:
 
     def __init__(self, profile: RobotProfile, timeout_s: float) -> None:
         self.joints: JointSample | None = None
+        self._position = np.empty(0)
         self._names = profile.arm_joints
         self._velocity = None if profile.limits is None else np.asarray(profile.limits.velocity, dtype=np.float64)
         slides = prismatic_joints(profile.urdf)
@@ -67,7 +68,7 @@ class JointWatch:
             if joints.stamp_ns == self.joints.stamp_ns:
                 return False
             self._check_way(position, now_s)
-        self.joints, self._at_s = joints, now_s
+        self.joints, self._position, self._at_s = joints, position, now_s
         return True
 
     def _arm(self, joints: JointSample) -> F64:
@@ -86,10 +87,9 @@ class JointWatch:
         return position
 
     def _check_way(self, position: F64, now_s: float) -> None:
-        assert self.joints is not None
         if self._velocity is None:
             return
-        before = self.joints.position[[self.joints.names.index(name) for name in self._names]]
+        before = self._position
         way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
         if way.max() > 0.0:
             i = int(way.argmax())

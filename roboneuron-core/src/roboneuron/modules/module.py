@@ -1,4 +1,4 @@
-"""The frame of every module process: a managed node whose transitions call a `Module` and whose failures are told."""
+"""The frame of every module process: a managed node whose transitions make, drive and release a `Module`."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
-from roboneuron.errors import InternalError, RoboNeuronError, UnsafeError
+from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.modules.priority import restore
+from roboneuron.modules.handover import Handover, load_handover
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
@@ -31,20 +33,19 @@ log = logging.getLogger(__name__)
 
 
 class Module(ABC):
-    """Behaviour of one kind of module. Methods are called on the executor's thread.
+    """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the executor's thread.
 
-    Any of them may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
+    The constructor acquires: it loads weights, opens the device, creates publishers and subscriptions. What it
+    acquires it gives to `node.resources`, which releases it, the newest first, also when the constructor fails.
+
+    Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
     """
 
     def __init__(self, node: ModuleNode) -> None:
         self.node = node
-        self.settings = node.settings
         self.config = node.settings.config
         self.status = node.status
-
-    @abstractmethod
-    def configure(self) -> None:
-        """Acquire: load weights, open the device, create publishers and subscriptions."""
+        self.handover = node.handover
 
     @abstractmethod
     def activate(self) -> None:
@@ -52,24 +53,31 @@ class Module(ABC):
 
     @abstractmethod
     def deactivate(self) -> None:
-        """Silence; must be possible in any state that `configure` left behind."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release everything; idempotent."""
+        """Silence; also called before `activate`."""
 
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
         """The latch changed; modules that move the robot override this."""
 
 
 class ModuleNode(LifecycleNode):  # type: ignore[misc]
-    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module."""
+    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
 
-    def __init__(self, settings: ModuleSettings, build: Callable[[ModuleNode], Module]) -> None:
+    Attributes:
+        module: from `configure` to cleanup, else None.
+        resources: what is released at cleanup.
+        stopped: whether the emergency stop is latched.
+        handover: which inputs are this module's.
+    """
+
+    def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
         super().__init__(settings.node_name, namespace=settings.config.namespace)
         self.settings = settings
         self.status = ModuleStatus(settings.status_name)
         self.stopped = False
+        self.module: Module | None = None
+        self.resources = ExitStack()
+        self.handover = load_handover(self, settings, self.status)
+        self._kind = kind
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
@@ -79,10 +87,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._listeners: dict[str, int] = {}
         self._beat_s: float | None = None
         self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
-        # Of the superclass: what nobody is to see has no listeners in the status.
-        self._warm_up = super().create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
+        self._warm_up = self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
-        self.module = build(self)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._requests = RequestGuard(self, self.status)
         self._reporter = StatusReporter(self, self.status)
@@ -92,46 +98,56 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the clock is set back."""
         return super().create_timer(period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options)
 
-    def create_lifecycle_publisher(self, message_type: type, topic: str, *arguments: Any, **options: Any) -> Any:
-        """As of LifecycleNode; the status tells how many listeners it has found, as `listeners.<topic>`."""
-        self._outputs[topic] = super().create_lifecycle_publisher(message_type, topic, *arguments, **options)
-        return self._outputs[topic]
+    def now_ns(self) -> int:
+        """ROS time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
 
-    def destroy_lifecycle_publisher(self, publisher: LifecyclePublisher) -> None:
-        """As of LifecycleNode."""
-        self._outputs = {topic: other for topic, other in self._outputs.items() if other is not publisher}
-        super().destroy_lifecycle_publisher(publisher)
+    def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
+        """A publisher until cleanup; the status tells how many listeners it has, as `listeners.<topic>`."""
+        publisher = self._outputs[topic] = self.create_lifecycle_publisher(message_type, topic, NEWEST)
+        self.resources.callback(self.destroy_lifecycle_publisher, publisher)
+        self.resources.callback(self._outputs.pop, topic)
+        return publisher
+
+    def subscribe(
+        self, message_type: type, topic: str, callback: Callable[..., None], qos: QoSProfile = NEWEST
+    ) -> None:
+        """Call `callback` with each message until cleanup."""
+        self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
+
+    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call `callback` once a period until cleanup."""
+        self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         self.status.set_state("configuring")
-        result = self._attempt(self.module.configure, "inactive", otherwise="unconfigured")
+        result = self._attempt(self._configure, "inactive", otherwise="unconfigured")
         if result is TransitionCallbackReturn.FAILURE:
-            self.module.close()
             return result
-        # What is loaded stays: a full collection over all of it would be a pause of up to half a second in the loop.
+        # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
         gc.collect()
         gc.freeze()
-        restore()
+        self.handover.begin()
         return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         super().on_activate(state)
-        result = self._attempt(self.module.activate, "active", otherwise="inactive")
+        result = self._attempt(lambda: self._configured().activate(), "active", otherwise="inactive")
         if result is TransitionCallbackReturn.FAILURE:
             super().on_deactivate(state)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
-        result = self._attempt(self.module.deactivate, "inactive", otherwise="active")
+        result = self._attempt(lambda: self._configured().deactivate(), "inactive", otherwise="active")
         super().on_deactivate(state)
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
-        return self._attempt(self.module.close, "unconfigured", otherwise="inactive")
+        return self._attempt(self._release, "unconfigured", otherwise="inactive")
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -161,11 +177,36 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         finally:
             self._reporter.stop()
 
+    def _configure(self) -> None:
+        if self.settings.shadow and type(self.handover) is Handover:
+            raise ConfigurationError(
+                "This process was started beside a running module, and nothing here tells when it takes over.",
+                hint="Install the package of the feature that replaces modules in this interpreter's environment too.",
+            )
+        try:
+            self.module = self._kind(self)
+        except Exception:
+            try:
+                self._release()
+            except Exception:  # why it could not be configured matters more
+                log.exception("while releasing what was acquired")
+            raise
+
+    def _release(self) -> None:
+        self.module = None
+        self.resources.close()
+
+    def _configured(self) -> Module:
+        if self.module is None:
+            raise StateError(f"{self.settings.kind} is not configured.")
+        return self.module
+
     def _shut_down(self) -> None:
         try:
-            self.module.deactivate()
+            if self.module is not None:
+                self.module.deactivate()
         finally:
-            self.module.close()
+            self._release()
 
     def _attempt(self, step: Callable[[], None], then: str, *, otherwise: str) -> TransitionCallbackReturn:
         try:
@@ -188,14 +229,14 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _on_loop(self) -> None:
         self.status.tick_loop()
         self._check_stop()
-        self._open_ways()
+        self._open_ports()
         for topic, publisher in self._outputs.items():
             count = publisher.get_subscription_count()
             if count != self._listeners.get(topic):
                 self._listeners[topic] = count
                 self.status.set_value(f"listeners.{topic}", count)
 
-    def _open_ways(self) -> None:
+    def _open_ports(self) -> None:
         """In shadow, send something to all modules: the first message to a process opens a port, which may take long.
 
         Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a third of
@@ -233,6 +274,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         if stopped == self.stopped:
             return
         self.stopped = stopped
-        self.module.emergency_stop(self.stopped)
+        if self.module is not None:
+            self.module.emergency_stop(self.stopped)
         self.status.set(emergency_stop=self.stopped)
         self.status.changed.set()

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import time_ns
 from typing import Any
 
-from roboneuron.config import Config
+from roboneuron.config.limits import LimitsConfig
 from roboneuron.contract import Controller, Hold, JointCommand, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord
@@ -28,22 +28,29 @@ class MotionGuard:
     """
 
     def __init__(
-        self, config: Config, profile: RobotProfile, controller: Controller, status: ModuleStatus, state: Path
+        self,
+        limits: LimitsConfig,
+        profile: RobotProfile,
+        controller: Controller,
+        status: ModuleStatus,
+        state: Path,
+        *,
+        immediate: bool,
+        longest_s: float,
     ) -> None:
         inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
-        assert config.control is not None
         is_checked = profile.collision is None or isinstance(controller, PostureInspector)
         if not is_checked:
             log.warning("The controller tells no distances: collisions of %s are not checked.", profile.name)
         status.set_value("collision_checked", is_checked and profile.collision is not None)
         self._controller = controller
         self._limiter = MotionLimiter(
-            motion_rules(config.limits, profile),
+            motion_rules(limits, profile),
             profile,
             controller.forward,
             inspect,
-            immediate=config.control.command == "joint_state",
-            longest_s=config.robot.server_timeout_s,  # a longer command would outlive a frozen control
+            immediate=immediate,
+            longest_s=longest_s,
         )
         self._robot = profile.name
         self._status = status

@@ -6,19 +6,16 @@ import threading
 import time
 from typing import cast
 
-from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron.contract import CameraProfile, PerceptionSource
 from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
-from roboneuron.modules.handover import Handover
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import to_camera_info, to_image
-from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import camera_image, camera_info
 
 _READ_TIMEOUT_S = 0.25
@@ -30,19 +27,8 @@ class PerceptionModule(Module):
     """Publishes what one source delivers, for as many cameras as it serves."""
 
     def __init__(self, node: ModuleNode) -> None:
-        super().__init__(node)
-        self._topics = NodeTopics(node)
-        self._source: PerceptionSource | None = None
-        self._publishers: dict[str, LifecyclePublisher] = {}
-        self._info_publishers: dict[str, LifecyclePublisher] = {}
-        self._worker = Worker("perception", self._step, self.status)
-        self._handover = Handover()
-        self._newest_s = 0.0
-        self._missing: set[str] = set()
-        self._published: set[str] = set()
-
-    def configure(self) -> None:
         """Open the source for the configured cameras."""
+        super().__init__(node)
         config = self.config.perception
         if config is None:
             raise ConfigurationError("The configuration has no [perception] section.")
@@ -50,24 +36,24 @@ class PerceptionModule(Module):
         profile = load_profile(registry, self.config.robot.name)
         cameras = _choose(profile.cameras, config.cameras, profile.name)
         spec = registry.get("perception", config.source)
+        self._topics = NodeTopics(node)
+        node.resources.callback(self._topics.close)
         options = self.config.options(spec.name)
         self._source = cast("PerceptionSource", build(spec, options, self._topics, cameras))
+        node.resources.callback(self._source.close)
         self._source.open()
-        for camera in cameras:
-            self._publishers[camera.name] = self.node.create_lifecycle_publisher(
-                Image, camera_image(camera.name), NEWEST
-            )
-            self._info_publishers[camera.name] = self.node.create_lifecycle_publisher(
-                CameraInfo, camera_info(camera.name), NEWEST
-            )
-        self._handover.serve(self.node, shadow=self.settings.shadow)
+        self._images = {camera.name: node.advertise(Image, camera_image(camera.name)) for camera in cameras}
+        self._infos = {camera.name: node.advertise(CameraInfo, camera_info(camera.name)) for camera in cameras}
+        self._newest_s = 0.0
+        self._missing: set[str] = set()
+        self._worker = Worker("perception", self._step, self.status)
+        node.resources.callback(self._worker.stop)
         self.status.set_value("source", spec.name)
-        self.status.set_value("cameras", ",".join(self._publishers))
 
     def activate(self) -> None:
         """Start reading; ready once every camera has delivered."""
         self._newest_s = time.monotonic()
-        self._missing = set(self._publishers)
+        self._missing = set(self._images)
         self._announce_missing()
         self._worker.start()
 
@@ -76,24 +62,11 @@ class PerceptionModule(Module):
         if not self._worker.stop():
             raise NotReadyError(f"Source {self.config.perception} hangs in read().")
 
-    def close(self) -> None:
-        """Release the source and the topics."""
-        self._worker.stop()
-        if self._source is not None:
-            self._source.close()
-            self._source = None
-        for publisher in (*self._publishers.values(), *self._info_publishers.values()):
-            self.node.destroy_lifecycle_publisher(publisher)
-        self._publishers.clear()
-        self._info_publishers.clear()
-        self._topics.close()
-
     def _announce_missing(self) -> None:
         names = ", ".join(repr(name) for name in sorted(self._missing))
         self.status.set_waiting(f"the first image of camera {names}")
 
     def _step(self, stop: threading.Event) -> None:
-        assert self._source is not None
         try:
             frame = self._source.read(_READ_TIMEOUT_S)
         except NotReadyError as error:
@@ -101,22 +74,23 @@ class PerceptionModule(Module):
             if time.monotonic() - self._newest_s > SILENCE_S:
                 self.status.set_error(error)
             return
-        publisher = self._publishers.get(frame.camera)
+        publisher = self._images.get(frame.camera)
         if publisher is None:
-            raise PluginError(f"The source delivered camera {frame.camera!r}, asked for {sorted(self._publishers)}.")
+            raise PluginError(f"The source delivered camera {frame.camera!r}, asked for {sorted(self._images)}.")
         if stop.is_set():
             return
         self._newest_s = time.monotonic()
         self.status.set_value(f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}")
-        if self._handover.is_ours(frame.stamp_ns):
+        if self.handover.is_ours(frame.stamp_ns):
             info = to_camera_info(frame)
             if info is not None:
-                self._info_publishers[frame.camera].publish(info)
+                self._infos[frame.camera].publish(info)
             publisher.publish(to_image(frame))
             self.status.output.tick()
-            self._note_published(frame.camera, time.time_ns())
-        self.status.latency.add((self._topics.now_ns() - frame.stamp_ns) / 1e6)
-        self.status.set_value(f"age_ms.{frame.camera}", (self._topics.now_ns() - frame.stamp_ns) / 1e6)
+            self.handover.note_sent(frame.camera)
+        age_ms = (self._topics.now_ns() - frame.stamp_ns) / 1e6
+        self.status.latency.add(age_ms)
+        self.status.set_value(f"age_ms.{frame.camera}", age_ms)
         self.status.clear_error()
         if self._missing:
             self._missing.discard(frame.camera)
@@ -124,14 +98,6 @@ class PerceptionModule(Module):
                 self._announce_missing()
             else:
                 self.status.set_ready()
-
-    def _note_published(self, camera: str, at_ns: int) -> None:
-        """Tell when the first and the newest image went out: by that a change-over is confirmed and measured."""
-        self.status.set_value(f"last_sent_ns.{camera}", at_ns)
-        if camera not in self._published:
-            self._published.add(camera)
-            self.status.set_value(f"first_sent_ns.{camera}", at_ns)
-            self.status.changed.set()
 
 
 def _choose(cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str) -> tuple[CameraProfile, ...]:

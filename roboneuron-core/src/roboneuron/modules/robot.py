@@ -6,7 +6,6 @@ import threading
 import time
 from typing import Any, cast
 
-from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -17,12 +16,9 @@ from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
-from roboneuron.ros.messages import commands_from_trajectory, joints_from_message, to_joint_state
-from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.messages import commands_from_message, to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
-_JOINT_STATE_STEP_S = 0.1
-"""Time given to reach a position that came without one (JointState commands)."""
 _DETAIL_PERIOD_S = 0.1
 _WATCH_S = 0.1
 _FUTURE_S = 0.1
@@ -33,25 +29,16 @@ class RobotModule(Module):
     """Two threads beside the executor: one publishes measured states, one plays trajectories point by point."""
 
     def __init__(self, node: ModuleNode) -> None:
+        """Connect to the robot or start the simulation; it holds where it is."""
         super().__init__(node)
-        self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
-        self._driver: RobotDriver | None = None
-        self._states: LifecyclePublisher | None = None
-        self._subscriptions: list[object] = []
-        self._timer: Any = None
+        self._active = False
         self._is_server_silent = False
-        self._reader = Worker("robot-state", self._publish_state, self.status)
-        self._player = Worker("robot-command", self._play, self.status)
         self._next_state_s = 0.0
         self._detail_s = 0.0
         self._pending: list[JointCommand] = []
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
-        self._active = False
-
-    def configure(self) -> None:
-        """Connect to the robot or start the simulation; it holds where it is."""
         registry = discover(self.config.disabled_plugins)
         robot = registry.get("robot", self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
@@ -61,15 +48,20 @@ class RobotModule(Module):
                 f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers are {names}."
             )
         profile = load_profile(registry, robot.name)
+        self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
+        node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)
         self._driver = cast("RobotDriver", build(spec, options, profile, self._topics))
+        node.resources.callback(self._driver.close)
         self._driver.open()
-        self._states = self.node.create_lifecycle_publisher(JointState, JOINT_STATES, NEWEST)
-        self._subscriptions = [
-            self.node.create_subscription(JointTrajectory, JOINT_TRAJECTORY, self._on_trajectory, NEWEST),
-            self.node.create_subscription(JointState, JOINT_COMMAND, self._on_joint_command, NEWEST),
-        ]
-        self._timer = self.node.create_timer(min(_WATCH_S, self.config.robot.server_timeout_s / 5), self._watch)
+        self._states = node.advertise(JointState, JOINT_STATES)
+        node.subscribe(JointTrajectory, JOINT_TRAJECTORY, self._on_command)
+        node.subscribe(JointState, JOINT_COMMAND, self._on_command)
+        node.repeat(min(_WATCH_S, self.config.robot.server_timeout_s / 5), self._watch)
+        self._reader = Worker("robot-state", self._publish_state, self.status)
+        self._player = Worker("robot-command", self._play, self.status)
+        node.resources.callback(self._reader.stop)
+        node.resources.callback(self._player.stop)
         self.status.set_value("driver", spec.name)
 
     def activate(self) -> None:
@@ -83,33 +75,11 @@ class RobotModule(Module):
     def deactivate(self) -> None:
         """Hold, then fall silent."""
         self._active = False
-        with self._arrived:
-            self._pending = []
-            self._arrived.notify()
+        self._drop()
         player_ended = self._player.stop()
-        if self._driver is not None:
-            self._driver.hold()
+        self._driver.hold()
         if not (self._reader.stop() and player_ended):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
-
-    def close(self) -> None:
-        """Disconnect from the robot."""
-        self._active = False
-        self._player.stop()
-        self._reader.stop()
-        if self._timer is not None:
-            self.node.destroy_timer(self._timer)
-            self._timer = None
-        for subscription in self._subscriptions:
-            self.node.destroy_subscription(subscription)
-        self._subscriptions.clear()
-        if self._states is not None:
-            self.node.destroy_lifecycle_publisher(self._states)
-            self._states = None
-        if self._driver is not None:
-            self._driver.close()
-            self._driver = None
-        self._topics.close()
 
     def emergency_stop(self, latched: bool) -> None:
         """Hold at once and drop what was to be executed; refuse commands as long as the latch is set."""
@@ -133,23 +103,26 @@ class RobotModule(Module):
         return "emergency_stop" if self.node.stopped else "server_silent" if self._is_server_silent else ""
 
     def _drop_and_hold(self) -> None:
+        self._drop()
+        self._driver.hold()
+
+    def _drop(self) -> None:
         with self._arrived:
             self._pending = []
             self._arrived.notify()
-        if self._driver is not None:
-            self._driver.hold()
 
-    def _on_trajectory(self, message: JointTrajectory, info: dict[str, Any]) -> None:
-        if self._accepts(info):
-            self._take(lambda: commands_from_trajectory(message))
-
-    def _on_joint_command(self, message: JointState, info: dict[str, Any]) -> None:
-        def read() -> list[JointCommand]:
-            joints = joints_from_message(message)
-            return [JointCommand(names=joints.names, position=joints.position, duration_s=_JOINT_STATE_STEP_S)]
-
-        if self._accepts(info):
-            self._take(read)
+    def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
+        if not self._accepts(info):
+            return
+        try:
+            commands = commands_from_message(message)
+        except InvalidInputError as error:
+            self.status.dropped.add("malformed_command")
+            self.status.set_error(error)
+            return
+        with self._arrived:
+            self._pending = commands
+            self._arrived.notify()
 
     def _accepts(self, info: dict[str, Any]) -> bool:
         if not self._active:
@@ -164,20 +137,8 @@ class RobotModule(Module):
         self.status.latency.add(age_s * 1e3)
         return True
 
-    def _take(self, read: Any) -> None:
-        try:
-            commands = read()
-        except InvalidInputError as error:
-            self.status.dropped.add("malformed_command")
-            self.status.set_error(error)
-            return
-        with self._arrived:
-            self._pending = commands
-            self._arrived.notify()
-
     def _play(self, stop: threading.Event) -> None:
         """Send the next pending command; a newer trajectory replaces what is left of the older one."""
-        assert self._driver is not None
         with self._arrived:
             if not self._arrived.wait_for(lambda: bool(self._pending) or stop.is_set(), timeout=0.05):
                 self._hold_when_silent()
@@ -206,14 +167,11 @@ class RobotModule(Module):
 
     def _hold_when_silent(self) -> None:
         if self._moving and time.monotonic() - self._command_s > self.config.robot.command_timeout_s:
-            assert self._driver is not None
             self._driver.hold()
             self._moving = False
             self.status.set(note="holding: no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
-        assert self._driver is not None
-        assert self._states is not None
         delay_s = self._next_state_s - time.monotonic()
         if delay_s > 0:
             stop.wait(delay_s)

@@ -28,7 +28,8 @@ class ModuleSettings(BaseModel):
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
         on_join: "module:attribute" of functions that features want called once ROS is joined.
-        shadow: work on live inputs without publishing until the handover, see `roboneuron.modules.handover`.
+        handover: "module:attribute" of the `Handover` of a feature that replaces modules.
+        shadow: work on live inputs without publishing until the handover, see `Handover`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -39,6 +40,7 @@ class ModuleSettings(BaseModel):
     state_directory: str
     shadow: bool = False
     on_join: tuple[str, ...] = ()
+    handover: str | None = None
 
     @property
     def status_name(self) -> str:
@@ -54,12 +56,3 @@ EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False releases."""
 STATUS_PERIOD_S = 0.2
 """Every module reports on /diagnostics at least this often, and at once after a change."""
-ACT_FROM = "act_from_ns"
-"""ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
-ACT_UNTIL = "act_until_ns"
-"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
-PLAY_UNTIL = "play_until_ns"
-"""ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
-HANDOVER_PARAMETERS = (ACT_FROM, ACT_UNTIL, PLAY_UNTIL)
-NEVER_NS = 2**62
-"""As ACT_FROM: in shadow until told otherwise."""

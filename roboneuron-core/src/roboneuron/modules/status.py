@@ -9,18 +9,98 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from roboneuron.errors import RoboNeuronError
-from roboneuron.modules.meters import Counts, RateMeter, Samples
 from roboneuron.modules.report import StatusReport, to_text
 from roboneuron.modules.settings import STATUS_PERIOD_S
 from roboneuron.ros.qos import STATUS
 from roboneuron.ros.topics import DIAGNOSTICS
+
+_WINDOW_S = 3.0
+_SAMPLES = 256
+
+
+class RateMeter:
+    """Events per second over the last three seconds of monotonic time."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._times: deque[float] = deque(maxlen=4096)
+        self._lock = threading.Lock()
+        self._total = 0
+
+    def tick(self) -> None:
+        """Count one event now."""
+        with self._lock:
+            self._times.append(self._clock())
+            self._total += 1
+
+    @property
+    def total(self) -> int:
+        """Events since the start."""
+        return self._total
+
+    def rate_hz(self) -> float:
+        """Mean rate over the window; 0 when fewer than two events fell into it."""
+        with self._lock:
+            now = self._clock()
+            while self._times and now - self._times[0] > _WINDOW_S:
+                self._times.popleft()
+            if len(self._times) < 2:
+                return 0.0
+            return (len(self._times) - 1) / max(1e-9, self._times[-1] - self._times[0])
+
+    def age_s(self) -> float | None:
+        """Seconds since the newest event, or None when there was none in the window's memory."""
+        with self._lock:
+            return self._clock() - self._times[-1] if self._times else None
+
+
+class Samples:
+    """The last 256 values of something measured in milliseconds."""
+
+    def __init__(self) -> None:
+        self._values: deque[float] = deque(maxlen=_SAMPLES)
+        self._lock = threading.Lock()
+
+    def add(self, value_ms: float) -> None:
+        """Keep one value [ms]."""
+        with self._lock:
+            self._values.append(value_ms)
+
+    def median_and_p99(self) -> tuple[float, float] | None:
+        """Median and 99th percentile [ms], or None without values."""
+        with self._lock:
+            values = np.array(self._values)
+        if values.size == 0:
+            return None
+        median, p99 = np.percentile(values, [50, 99])
+        return float(median), float(p99)
+
+
+class Counts:
+    """Named counters that never go down ("stale", "non_finite" ...)."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def add(self, name: str) -> None:
+        """Count one event of that name."""
+        with self._lock:
+            self._counts[name] += 1
+
+    def items(self) -> dict[str, int]:
+        """A copy of all counters."""
+        with self._lock:
+            return dict(self._counts)
 
 
 class ModuleStatus:
@@ -117,6 +197,7 @@ class ModuleStatus:
         now_s = self.clock()
         dropped = self.dropped.items()
         latency = self.latency.median_and_p99() or (None, None)
+        age_s = self.output.age_s()
         with self._lock:
             slowest = max(self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None)
             return StatusReport(
@@ -134,6 +215,7 @@ class ModuleStatus:
                 rate_hz=round(self.output.rate_hz(), 2),
                 latency_ms=latency[0],
                 latency_p99_ms=latency[1],
+                age_ms=None if age_s is None else round(age_s * 1e3, 1),
                 published=self.output.total,
                 dropped=sum(dropped.values()),
                 dropped_by=dropped,

@@ -19,6 +19,7 @@ from roboneuron.contract.observation import CameraCalibration, Frame, JointSampl
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
+_STATE_STEP_S = 0.1
 F64 = NDArray[np.float64]
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
@@ -207,6 +208,14 @@ def commands_from_trajectory(message: JointTrajectory) -> list[JointCommand]:
         commands.append(JointCommand(names=names, position=position, duration_s=time_s - elapsed_s))
         elapsed_s = time_s
     return commands
+
+
+def commands_from_message(message: JointTrajectory | JointState) -> list[JointCommand]:
+    """As `commands_from_trajectory`; positions without times (a JointState) are one command, to be reached in 0.1 s."""
+    if isinstance(message, JointTrajectory):
+        return commands_from_trajectory(message)
+    joints = joints_from_message(message)
+    return [JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)]
 
 
 def to_joint_command_state(command: JointCommand, stamp_ns: int) -> JointState:

@@ -7,7 +7,7 @@ JOINT_TRAJECTORY = "joint_trajectory"
 JOINT_COMMAND = "joint_command"
 DIAGNOSTICS = "/diagnostics"
 WARM_UP = "_warm_up"
-"""std_msgs/Empty, hidden as ROS hides names with an underscore: says nothing; opens the ways of a module in shadow."""
+"""std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in shadow."""
 
 
 def camera_image(name: str) -> str:

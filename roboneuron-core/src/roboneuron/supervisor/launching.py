@@ -14,7 +14,6 @@ from pathlib import Path
 
 from roboneuron.config import ServerConfig
 from roboneuron.errors import ConfigurationError, RoboNeuronError
-from roboneuron.modules.priority import lower
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
@@ -145,8 +144,6 @@ class Launcher:
                 f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
                 hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
             ) from error
-        if settings.shadow:
-            lower(process.pid)
         self._heartbeat.start()
         log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
         self.board.watch(settings.status_name, process.pid)

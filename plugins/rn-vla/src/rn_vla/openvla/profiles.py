@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_vla.rotation import matrix_from_rpy, rpy_from_matrix
 from roboneuron import InvalidInputError, Pose, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
-from roboneuron.contract.rotation import matrix_from_rpy, rpy_from_matrix
 
 F64 = NDArray[np.float64]
 RotationUnit = Literal["rotvec", "rpy"]

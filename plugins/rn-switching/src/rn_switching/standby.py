@@ -1,8 +1,9 @@
-"""A module that is loaded beside a working one gives way to it until it is loaded itself.
+"""What the server and a module process agree on when modules are switched: parameters, and priorities.
 
-Scheduling is a matter of threads: what a process starts inherits it, and restoring goes through all threads. An
-unprivileged process can make itself less urgent but not undo that, so without the right to do so only the batch policy
-is used: it never interrupts a thread that wakes up for its next image, and can always be left.
+A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling is a matter of
+threads: what a process starts inherits it, and restoring goes through all threads. An unprivileged process can make
+itself less urgent but not undo that, so without the right to do so only the batch policy is used: it never interrupts a
+thread that wakes up for its next image, and can always be left.
 """
 
 from __future__ import annotations
@@ -12,6 +13,16 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+HANDOVER = "rn_switching.handover:TimedHandover"
+"""What every module process is told to use."""
+ACT_FROM = "act_from_ns"
+"""ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
+ACT_UNTIL = "act_until_ns"
+"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
+PLAY_UNTIL = "play_until_ns"
+"""ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
+NEVER_NS = 2**62
+"""As ACT_FROM: in shadow until told otherwise."""
 log = logging.getLogger(__name__)
 _NICENESS = 10
 _CAP_SYS_NICE = 23

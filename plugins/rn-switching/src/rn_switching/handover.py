@@ -1,0 +1,107 @@
+"""Handover between two modules of one kind at a moment in the time of their inputs.
+
+Both modules are active on the same topics. Inputs stamped before the moment belong to the old module, later ones to the
+new module, so nothing is acted on twice and nothing is left out, however long the messages about it take. Before the
+handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference compares the capture
+time of images, perception the capture time of its own images, control the times at which actions were sent and joints
+measured.
+
+A moment is a ROS time only for as long as messages from before it may still be on their way. After that it is past for
+good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow again.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+from rn_switching.shadow_controller import ControllerComparison
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, restore
+from roboneuron.contract import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
+from roboneuron.modules.handover import Handover
+from roboneuron.modules.status import ModuleStatus
+
+_SETTLE_S = 5.0
+"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
+_FARTHEST_S = 10.0
+"""A moment farther ahead than this was made before the clock was set."""
+
+
+class TimedHandover(Handover):
+    """The three moments of a handover; read by the module's threads, set by the executor's.
+
+    Args:
+        shadow: in shadow until told otherwise.
+        status: where to report.
+        now_ns: ROS time [ns].
+        now_s: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        shadow: bool,
+        status: ModuleStatus,
+        now_ns: Callable[[], int] = time.time_ns,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(shadow, status)
+        self.moments = {ACT_FROM: NEVER_NS if shadow else 0, ACT_UNTIL: 0, PLAY_UNTIL: 0}
+        self._now_ns = now_ns
+        self._now_s = now_s
+        self._moments_ns = dict(self.moments)
+        self._past_s = dict.fromkeys(self.moments, math.inf)
+        self._sent: set[str] = set()
+        self._count = 0
+        self._comparison = ControllerComparison(status)
+
+    def set(self, moments: Mapping[str, int]) -> None:
+        """See `Handover.set`."""
+        for name, moment_ns in moments.items():
+            ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
+            is_moment = moment_ns not in (0, NEVER_NS)
+            self._past_s[name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
+            self._moments_ns[name] = moment_ns
+
+    def begin(self) -> None:
+        """Loaded: from now on as urgent as other modules."""
+        restore()
+
+    def is_shadow(self, stamp_ns: int) -> bool:
+        """See `Handover.is_shadow`."""
+        return stamp_ns < self._moments_ns[ACT_FROM] and self._now_s() < self._past_s[ACT_FROM]
+
+    def is_over(self, stamp_ns: int) -> bool:
+        """See `Handover.is_over`."""
+        return self._has_come(ACT_UNTIL, stamp_ns)
+
+    def must_fall_silent(self, now_ns: int) -> bool:
+        """See `Handover.must_fall_silent`."""
+        return self._has_come(PLAY_UNTIL, now_ns)
+
+    def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
+        """See `Handover.withhold`; the status tells what is compared."""
+        if isinstance(output, ActionChunk):
+            for name, value in zip(ACTION_FIELDS, output.actions[0].tolist(), strict=True):
+                self.status.set_value(f"shadow_action.{name}", value)
+            self._count += 1
+            self.status.set_value("shadow_count", self._count)
+        else:
+            self._comparison.answer(output)
+
+    def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
+        """See `Handover.hear`."""
+        self._comparison.hear(output, sent_s)
+
+    def note_sent(self, what: str) -> None:
+        """Tell when the first and the newest of its kind went out: a handover is confirmed and measured by that."""
+        now_ns = time.time_ns()
+        self.status.set_value(f"last_sent_ns.{what}", now_ns)
+        if what not in self._sent:
+            self._sent.add(what)
+            self.status.set_value(f"first_sent_ns.{what}", now_ns)
+            self.status.changed.set()
+
+    def _has_come(self, name: str, stamp_ns: int) -> bool:
+        until_ns = self._moments_ns[name]
+        return until_ns != 0 and (stamp_ns >= until_ns or self._now_s() >= self._past_s[name])

@@ -1,0 +1,74 @@
+"""Moments of a change-over do not depend on what the clock is set to afterwards."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_switching.handover import TimedHandover
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
+from roboneuron.modules.status import ModuleStatus
+
+HOUR_NS = 3_600_000_000_000
+
+
+class Clocks:
+    def __init__(self) -> None:
+        self.wall_ns = 10**18
+        self.mono_s = 100.0
+
+    def set_moment(self, handover: TimedHandover, name: str, moment_ns: int) -> None:
+        handover.set({name: moment_ns})
+
+
+@pytest.fixture
+def clocks() -> Clocks:
+    return Clocks()
+
+
+@pytest.fixture
+def handover(clocks: Clocks) -> TimedHandover:
+    return TimedHandover(False, ModuleStatus("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s)
+
+
+@pytest.mark.parametrize("jump_ns", [HOUR_NS, 365 * 24 * HOUR_NS])
+def test_a_module_that_has_taken_over_is_not_in_shadow_again(
+    clocks: Clocks, handover: TimedHandover, jump_ns: int
+) -> None:
+    moment_ns = clocks.wall_ns + 10**8
+    clocks.set_moment(handover, ACT_FROM, moment_ns)
+    assert handover.is_shadow(moment_ns - 1)
+    assert not handover.is_shadow(moment_ns)
+    clocks.mono_s += 1.0
+    assert handover.is_shadow(moment_ns - 1), "an old input that is still on its way belongs to the old module"
+    clocks.mono_s += 10.0
+    assert not handover.is_shadow(clocks.wall_ns - jump_ns)
+
+
+def test_a_module_that_was_replaced_stays_so(clocks: Clocks, handover: TimedHandover) -> None:
+    for name in (ACT_UNTIL, PLAY_UNTIL):
+        clocks.set_moment(handover, name, clocks.wall_ns)
+    clocks.mono_s += 10.0
+    assert handover.is_over(clocks.wall_ns - HOUR_NS)
+    assert handover.must_fall_silent(clocks.wall_ns - HOUR_NS)
+
+
+def test_a_moment_made_before_the_clock_was_set_does_not_last_for_ever(clocks: Clocks, handover: TimedHandover) -> None:
+    clocks.set_moment(handover, ACT_FROM, clocks.wall_ns + HOUR_NS)
+    assert handover.is_shadow(clocks.wall_ns)
+    clocks.mono_s += 20.0
+    assert not handover.is_shadow(clocks.wall_ns)
+
+
+def test_without_a_moment_nothing_changes_with_time(clocks: Clocks, handover: TimedHandover) -> None:
+    clocks.set_moment(handover, ACT_FROM, NEVER_NS)
+    clocks.set_moment(handover, ACT_UNTIL, 0)
+    clocks.mono_s += 1e6
+    assert handover.is_shadow(clocks.wall_ns)
+    assert not handover.is_over(clocks.wall_ns)
+
+
+def test_a_standby_is_in_shadow_until_it_is_told_otherwise(clocks: Clocks) -> None:
+    standby = TimedHandover(True, ModuleStatus("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s)
+    assert standby.is_shadow(clocks.wall_ns)
+    clocks.set_moment(standby, ACT_FROM, 0)
+    assert standby.is_ours(clocks.wall_ns)

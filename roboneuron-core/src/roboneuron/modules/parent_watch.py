@@ -1,0 +1,106 @@
+"""How a module process ends: with its parent, however the parent dies, and by signals.
+
+The parent's death is noticed in two independent ways: the kernel sends SIGTERM when the spawning thread ends
+(PR_SET_PDEATHSIG), and stdin, a pipe whose other end only the parent holds, comes to its end. Either way the module
+gets a bounded time to hold the robot and leave; after that the kernel ends it, whatever its threads wait for. A module
+that is stopped (SIGSTOP) is woken by the kernel, see `roboneuron.supervisor.process`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+_PR_SET_PDEATHSIG = 1
+"""Source: prctl(2)."""
+GRACE_S = 1.5
+"""Time between the parent's end and a hard exit."""
+_ALARM_S = 0.3
+"""The kernel's alarm comes so long after the exit that should have made it needless."""
+
+
+class Signals:
+    """What the process was told by signals, without a lock anywhere; main thread only, except `leave`.
+
+    A handler runs in the middle of whatever the main thread does, another handler included: when a server is killed,
+    the kernel sends the death signal again with the end of each of its threads. `threading.Event.set` holds a lock for
+    a moment; interrupted there by a second signal, the main thread would wait for itself, for ever. Assigning an
+    attribute cannot wait.
+
+    Attributes:
+        is_leaving: the module was told to end.
+    """
+
+    def __init__(self) -> None:
+        self.is_leaving = False
+        self._pressed = False
+
+    def listen(self) -> None:
+        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the emergency stop."""
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, lambda *_: self.leave())
+        signal.signal(signal.SIGUSR1, lambda *_: self._press())
+
+    def leave(self) -> None:
+        """As if SIGTERM had come; from any thread."""
+        self.is_leaving = True
+
+    def take_press(self) -> bool:
+        """Whether the emergency stop was pressed since the last call."""
+        pressed = self._pressed
+        if pressed:
+            self._pressed = False
+        return pressed
+
+    def _press(self) -> None:
+        self._pressed = True
+
+
+def follow_parent(expected_parent: int) -> None:
+    """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
+    if os.getppid() != expected_parent:
+        sys.exit("The parent process is gone.")
+
+
+def end_group() -> None:
+    """Kill all that plugins have started in this process's group; nobody else does when the server was killed.
+
+    The process itself steps out first, into its parent's group; where there is no parent any more, it goes with them.
+    """
+    group = os.getpgrp()
+    if group == os.getpid():
+        with suppress(OSError):
+            os.setpgid(0, os.getpgid(os.getppid()))
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
+
+
+def watch_stdin(
+    on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S
+) -> threading.Thread:
+    """Call `on_beat` with what comes on stdin: the server lives.
+
+    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may
+    hang: by then SIGALRM is set, whose default action needs nobody's help.
+    """
+
+    def watch() -> None:
+        while data := os.read(0, 4096):
+            on_beat(data)
+        signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
+        on_end()
+        threading.Event().wait(grace_s)
+        end_group()
+        os._exit(3)
+
+    thread = threading.Thread(target=watch, name="parent-watch", daemon=True)
+    thread.start()
+    return thread
