@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from roboneuron.errors import StateError
 from roboneuron.log_files import begin_logging
-from roboneuron.modules.lifeline import end_group, follow_parent, watch_stdin
+from roboneuron.modules.lifeline import end_group, follow_parent
 from roboneuron.modules.settings import MODULE_CLASSES, ModuleSettings
 from roboneuron.modules.signals import Signals
 from roboneuron.plugins.loading import load_attribute
@@ -51,7 +51,7 @@ def _run(settings: ModuleSettings) -> None:
     node = ModuleNode(settings, build)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch_stdin(signals.leave, node.note_beat)
+    node.watch_parent(signals.leave)
     for reference in settings.on_join:
         _call(reference)
     try:
