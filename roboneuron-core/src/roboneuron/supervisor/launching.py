@@ -106,10 +106,12 @@ class Launcher:
             bringup.run(deadline_s)
             phase = "running"
         finally:
-            if phase != "running" and slot.process is not None:
-                end_processes([slot.process], supervision.stop_timeout_s)
-                self._board.forget(settings.status_name, slot.process.pid)
-            slot.settle(phase)
+            try:
+                if phase != "running" and slot.process is not None:
+                    end_processes([slot.process], supervision.stop_timeout_s)
+                    self._board.forget(settings.status_name, slot.process.pid)
+            finally:
+                slot.settle(phase)  # also when it survives SIGKILL, else nobody could start one again
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot, settings, slot.process)  # it died between its proof and here
             self._on_change(slot.kind)
