@@ -55,7 +55,7 @@ def loaded(processes: int) -> Iterator[None]:
     finally:
         for process in busy:
             process.kill()
-            process.wait()
+            process.wait(10)
 
 
 class Results:
@@ -105,7 +105,7 @@ def run_worker(fault: str, share: int, folder: Path, results: Results) -> None:
                 failed = True
                 result["folder"] = str(folder)
             results.add(result)
-        code = worker.wait()
+        code = worker.wait(30)
         watchdog.cancel()
     with contextlib.suppress(ProcessLookupError):
         os.killpg(worker.pid, signal.SIGKILL)
@@ -162,7 +162,7 @@ def main() -> None:
         for worker in workers:
             worker.start()
         for worker in workers:
-            worker.join()
+            worker.join(60 * arguments.minutes + 2 * (CELL_S + BATCH * TRIAL_S))
     Console(width=150).print(table_of(arguments.fault, results.all) if results.all else "no trials")
 
 

@@ -105,16 +105,17 @@ def _one_client_death(folder: Path, server: list[str], number: int) -> dict[str,
     asked = any(line.strip() == "start_control" for line in iter(client.stdout.readline, ""))
     if not asked:
         client.kill()
-        client.wait()
+        client.wait(10)
         return {"outcome": "the server did not answer", "number": number, "left": _left(mark)}
     delay_s = random.uniform(0.0, LONGEST_START_S)
     time.sleep(delay_s)
     client.kill()
     killed_s = time.monotonic()
     said = client.stdout.read().strip()
-    client.wait()
+    client.wait(10)
     watchdog.cancel()
-    while (left := _left(mark)) and time.monotonic() - killed_s < GONE_S:
+    end_s = killed_s + GONE_S
+    while (left := _left(mark)) and time.monotonic() < end_s:
         time.sleep(0.05)
     took_s = time.monotonic() - killed_s
     if not left:
@@ -244,7 +245,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
         return {"outcome": _words(str(error)), "error": str(error), "stages": stages, "seen": list(seen)}
     finally:
         over.set()
-        looking.join()
+        looking.join(10.0)
     gap = switched.change.gap
     reports = [supervisor.view(kind).report for kind in ("robot", "perception", "inference", "control")]
     foreign = sum(report.dropped_by.get("foreign_request", 0) for report in reports if report is not None)
