@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 import rclpy
 
+from rn_fastdds import processes
 from rn_fastdds.dead_ports import SilentPorts, release_dead_locks
 from rn_fastdds.port_record import (
     IN_USE,
@@ -23,7 +25,9 @@ from rn_fastdds.port_record import (
     find_record,
     lock_owner,
 )
+from rn_fastdds.processes import ProcessCleaner
 from rn_fastdds.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_fastdds.shared_memory import SegmentRecord
 
 pytestmark = pytest.mark.ros
 HOLDER = """
@@ -101,6 +105,34 @@ def test_only_locks_of_the_dead_are_released(port: Path) -> None:
     next_holder = hold(port)
     next_holder.kill()
     next_holder.communicate()
+
+
+def test_the_number_of_a_dead_holder_may_be_given_to_somebody_else(port: Path) -> None:
+    """Who has not mapped the port cannot hold its locks: numbers come round within minutes on a busy machine."""
+    holder = hold(port)
+    holder.kill()
+    holder.communicate()
+    offset = record_of(port.name, port.read_bytes()).offset
+    with subprocess.Popen(["sleep", "60"]) as somebody:
+        with port.open("r+b") as file:
+            for lock in LOCKS:
+                file.seek(offset + lock + 8)
+                file.write(struct.pack("<i", somebody.pid))
+        assert owners(port.name, port.read_bytes()) == [somebody.pid, somebody.pid]
+        released = release_dead_locks(directory=port.parent)
+        somebody.kill()
+    assert released == 2
+    assert owners(port.name, port.read_bytes()) == [0, 0]
+
+
+def test_locks_that_strangers_left_are_released_before_a_process_starts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A process that opens such a port when it starts would hang there, and nobody looked before another one ended."""
+    calls: list[str] = []
+    monkeypatch.setattr(processes, "release_dead_locks", lambda: calls.append("released"))
+    ProcessCleaner(SegmentRecord(tmp_path / "record")).spawning()
+    assert calls == ["released"]
 
 
 def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(port: Path) -> None:

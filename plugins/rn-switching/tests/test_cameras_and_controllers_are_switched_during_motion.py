@@ -187,3 +187,22 @@ def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[Switch
     witness.more_actions()
     first = len(witness.commands())
     wait_until(lambda: len(witness.commands()) >= first + 5, 5.0, "the arm is commanded")
+
+
+def test_a_controller_takes_over_an_arm_whose_policy_pauses_just_then(tmp_path: Path) -> None:
+    """On a busy machine nothing may come for a second: the new one is not to blame for that, and holds the arm."""
+    mode = tmp_path / "camera"
+
+    def pause(stage: str) -> None:
+        if stage == "control: changing over":
+            mode.write_text("hang")
+
+    with moving_loop(tmp_path, RATE_HZ, f'mode_file = "{mode}"') as (switching, witness):
+        witness.more_actions(10)
+        switched = switching.switch("control", StartControl(controller="faulty"), "warm", pause)
+        assert switched.view.choice is not None
+        assert switched.view.choice.names["controller"] == "faulty"
+        mode.unlink()
+        witness.more_actions()
+        first = len(witness.commands())
+        wait_until(lambda: len(witness.commands()) >= first + 5, 10.0, "the arm is commanded")

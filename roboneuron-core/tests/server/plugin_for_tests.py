@@ -7,8 +7,9 @@ import threading
 import time
 from collections.abc import Sequence
 
+from roboneuron import Feature
 from roboneuron.plugins.markers import hookimpl
-from roboneuron.plugins.specs import BackendSpec, PerceptionSpec
+from roboneuron.plugins.specs import BackendSpec, FeatureSpec, PerceptionSpec
 
 print("a plugin that prints while it is imported")
 os.write(1, b"and one that writes to the descriptor\n")
@@ -59,6 +60,21 @@ def picky(config, runtime=None, acceleration=None):
             return super().predict(observation)
 
     return Picky(None)
+
+
+class LingeringFeature(Feature):
+    """Never finishes closing, when it is told so."""
+
+    def close(self) -> None:
+        if os.environ.get("TEST_FEATURE_LINGERS"):
+            threading.Event().wait()
+
+
+@hookimpl
+def roboneuron_features() -> Sequence[FeatureSpec]:
+    """Offer a feature without tools."""
+    target = "rn_server_tests_plugin:LingeringFeature"
+    return [FeatureSpec(name="lingering", summary="Closes, or does not.", target=target)]
 
 
 @hookimpl

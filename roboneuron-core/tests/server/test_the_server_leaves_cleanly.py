@@ -141,6 +141,23 @@ def test_a_client_that_leaves_during_a_start_is_not_waited_for(
         assert "python" not in children.stdout
 
 
+@pytest.mark.parametrize("end", ["stdin", "SIGTERM"])
+def test_what_hangs_on_the_way_out_keeps_neither_modules_nor_the_server(
+    serve_command: ServeCommand, server_environment: dict[str, str], end: str
+) -> None:
+    with serving(serve_command(), server_environment | {"TEST_FEATURE_LINGERS": "1"}) as wire:
+        wire.shake_hands()
+        pid = wire.call("start_robot")["pid"]
+        if end == "stdin":
+            assert wire.process.stdin is not None
+            wire.process.stdin.close()
+        else:
+            wire.process.send_signal(signal.SIGTERM)
+        wait_until(lambda: is_gone(pid), PATIENCE_S, "the module is gone")
+        assert wire.process.poll() is None, "it hangs"
+        assert wire.process.wait(2 * PATIENCE_S) == -signal.SIGALRM
+
+
 def test_stdout_carries_json_rpc_only_and_tools_come_soon(
     serve_command: ServeCommand, server_environment: dict[str, str]
 ) -> None:

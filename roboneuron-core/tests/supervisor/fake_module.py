@@ -13,7 +13,7 @@ import threading
 import time
 
 from roboneuron.errors import CheckpointError, UngroundedError
-from roboneuron.modules.parent_watch import Signals, end_group, follow_parent, watch_stdin
+from roboneuron.modules.parent_watch import Signals, end_group, follow_parent
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
@@ -55,6 +55,8 @@ class FakeModule(Module):
         if fault == "has-a-child":
             child = subprocess.Popen(["sleep", "3600"])
             self.status.set_value("child_pid", child.pid)
+        if fault == "has-a-child-that-reads":
+            subprocess.Popen(["cat"], stdout=subprocess.DEVNULL)
         self.node.add_on_set_parameters_callback(self._on_parameters)
         if settings.kind == "inference":
             assert self.config.inference is not None
@@ -112,7 +114,10 @@ if fault == "ignores-sigterm":
 node = ModuleNode(settings, FakeModule)
 executor = SingleThreadedExecutor()
 executor.add_node(node)
-watch_stdin(signals.leave, node.note_beat)
+if fault == "reads-stdin-late":  # as when the thread that reads it is not given the processor
+    heard = node.note_beat
+    node.note_beat = lambda data: (time.sleep(0.1), heard(data))  # type: ignore[method-assign,func-returns-value]
+node.watch_parent(signals.leave)
 while not signals.is_leaving:
     executor.spin_once()
 node.release()

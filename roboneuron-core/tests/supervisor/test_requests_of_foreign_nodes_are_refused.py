@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from roboneuron.config import Config
+from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
+from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.process import Spawner
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -28,6 +33,44 @@ def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
     assert announced.take(first)
     assert not announced.take(first)
     assert not announced.take(second)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("fault", ["reads-stdin-late", "has-a-child-that-reads"])
+def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_and_when(
+    supervisor: Supervisor, make_config: MakeConfig, fault: str
+) -> None:
+    """The thread that reads stdin may not get the processor in time; what a plugin starts may read its stdin too."""
+    view = supervisor.start("inference", make_config(inference=fault))
+    assert view.process is not None
+    own = ParameterClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
+    for round_ in range(10):
+        assert own.set({"instruction": f"own {round_}"}, 10.0) == ""
+    report = supervisor.view("inference").report
+    assert report is not None
+    assert report.dropped_by == {}
+    supervisor.stop("inference")
+
+
+def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
+    """The pipe of a process that hangs is full at some time: what is lost there would make a request a foreign one."""
+    spawner = Spawner(ProcessObservers())
+    process = spawner.spawn("hangs", ["sleep", "60"], os.environ, "", tmp_path / "log" / "hangs.log")
+    process.reap(lambda ended: None)
+
+    def announce_on() -> None:
+        for _ in range(100_000):
+            process.announce(digest_of_transition(3, "activate"))
+
+    try:
+        with pytest.raises(NotReadyError, match="does not read"):
+            announce_on()
+        process.beat()
+    finally:
+        process.kill()
+        assert process.wait(10.0)
+        spawner.close()
+    process.announce(digest_of_transition(3, "activate"))
 
 
 @pytest.fixture

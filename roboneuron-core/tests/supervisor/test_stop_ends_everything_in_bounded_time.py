@@ -8,13 +8,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.errors import StateError
+from roboneuron.errors import NotReadyError, StateError
+from roboneuron.supervisor import launching
+from roboneuron.supervisor.ending import end_processes
+from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -53,6 +56,23 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(supervisor: Supervisor, 
     assert is_gone(pid)
     assert "deactivated" in supervisor.log_path("robot").read_text()
     assert supervisor.view("robot").phase == "stopped"
+
+
+def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_used(
+    supervisor: Supervisor, make_config: MakeConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that hangs in a driver survives SIGKILL for a while, as one does on a machine without time for it."""
+
+    def end(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
+        end_processes(processes, timeout_s)
+        raise NotReadyError("It survives SIGKILL.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(launching, "end_processes", end)
+        with pytest.raises(NotReadyError, match="survives"):
+            supervisor.start("robot", make_config(robot="refuses-configure"))
+    assert supervisor.view("robot").phase == "stopped"
+    start(supervisor, make_config())
 
 
 def test_a_stop_of_what_is_not_running_is_an_error(supervisor: Supervisor) -> None:

@@ -112,4 +112,15 @@ def _held_by_the_dead(memory: mmap.mmap, port: int) -> set[tuple[int, int]]:
     if record is None:
         return set()
     locks = {(record.offset + lock, lock_owner(content, record.offset + lock)) for lock in LOCKS}
-    return {(offset, owner) for offset, owner in locks if owner > 0 and not Path(f"/proc/{owner}").exists()}
+    return {(offset, owner) for offset, owner in locks if owner > 0 and not _may_hold(owner, port)}
+
+
+def _may_hold(thread: int, port: int) -> bool:
+    """Whether the thread lives and has that port mapped; the number of a dead one is given to somebody else."""
+    try:
+        maps = Path(f"/proc/{thread}/maps").read_text(encoding="utf-8", errors="replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    except OSError:  # somebody else's
+        return True
+    return f"{PORT_PREFIX}{port}" in maps

@@ -29,7 +29,11 @@ class ProcessCleaner:
         self._ended: list[tuple[float, SilentPorts]] = []
 
     def spawning(self) -> None:
-        """Close the ports of the dead before their numbers are used again."""
+        """Close the ports of the dead before their numbers are used again, and release what strangers' dead hold.
+
+        Those are not observed, and whoever opens such a port hangs there: a process that starts opens all it hears of.
+        """
+        release_dead_locks()
         now_s = time.monotonic()
         with self._lock:
             oldest = len(self._ended) - _RECENT

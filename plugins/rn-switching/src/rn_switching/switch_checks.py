@@ -22,6 +22,8 @@ _LOOKS = 3
 _SHADOW_S = 5.0
 _RECENT_NS = 1_000_000_000
 """What was sent longer ago has ended."""
+_WITHOUT_INPUT = ("no_action", "stale_joint_state")
+"""Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow control tells none."""
 Shadow = Callable[[], Report]
 """The newest report of the new module; raises what is wrong with it or with the old one."""
 
@@ -217,10 +219,11 @@ class ControlCheck(SwitchCheck):
         return True
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `SwitchCheck.has_taken_over`."""
-        return "first_sent_ns.command" in new.metrics or (
-            not self._is_commanding and "first_sent_ns.pose" in new.metrics
-        )
+        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm, and that proves it."""
+        told = new.metrics
+        holds = told.get("hold_code") in _WITHOUT_INPUT and "compute_ms" not in told
+        rests = not self._is_commanding and "first_sent_ns.pose" in told
+        return "first_sent_ns.command" in told or holds or rests
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
         """Of the commands; None while the arm rests."""

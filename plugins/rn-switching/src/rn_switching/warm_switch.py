@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -31,7 +31,12 @@ _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 """Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
 now (2 to 50 ms, hundreds on an overloaded machine)."""
 _LATEST_S = 0.05
+_MOMENTS = 3
+"""So many moments, each twice as far ahead as the one before, are proposed to a new one that answers too late."""
 _FIRST_S = 1.0
+_TOLD_S = 4.0
+"""Whether the new one has acted by then is read from a report made after that, which may come so much later: a process
+that is not given the processor acts, and has not told it yet."""
 _FIND_S = 25.0
 """A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to 20 s."""
 _LATE_S = 3.0
@@ -133,24 +138,38 @@ class WarmSwitch:
         clients = [self._client(old), self._client(standby)]
         margin_s = self._probe(clients, standby)
         latency_s = self._check.latency_s(self._healthy(standby))
-        moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
         self._on_stage(f"{self._kind}: changing over")
         try:
+            # The old one is told only when the new one knows: one that dies now disturbs nobody.
+            moment_ns, due_s = self._agree(clients[1], standby, margin_s)
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
-            # The old one is told only when the new one knows: one that dies now disturbs nobody.
-            for client, values in ((clients[1], {ACT_FROM: moment_ns}), (clients[0], leave)):
-                left_s = due_s - time.monotonic() - _LATEST_S
-                call = client.send(values)
-                refused = client.finish(call, max(0.0, left_s), lambda: self._healthy(standby))
-                if refused:
-                    raise StateError(f"The handover was refused: {refused}.")
+            self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
             if self._check.is_due():
                 self._await_first_output(standby, due_s, latency_s)
             return adopt(self._supervisor, standby)
         except BaseException as error:
             self._roll_back(clients, old, error)
             raise
+
+    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float) -> tuple[int, float]:
+        """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
+        for proposal in range(_MOMENTS):
+            moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
+            try:
+                self._tell(new, {ACT_FROM: moment_ns}, margin_s / 2, standby)
+                break
+            except NotReadyError:
+                self._healthy(standby)  # what has ended or freezes will not answer later either
+                if proposal == _MOMENTS - 1:
+                    raise
+                margin_s = min(2 * margin_s, _MOST_MARGIN_S)
+        return moment_ns, due_s
+
+    def _tell(self, client: ParameterClient, values: Mapping[str, int], within_s: float, standby: Slot) -> None:
+        refused = client.finish(client.send(values), max(0.0, within_s), lambda: self._healthy(standby))
+        if refused:
+            raise StateError(f"The handover was refused: {refused}.")
 
     def _probe(self, clients: Sequence[ParameterClient], standby: Slot) -> float:
         """Tell both what they know already, and return the margin [s] that this needs."""
@@ -165,8 +184,14 @@ class WarmSwitch:
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
     def _await_first_output(self, standby: Slot, due_s: float, latency_s: float) -> None:
-        bound_s = max(0.0, due_s - time.monotonic()) + _FIRST_S + 3 * latency_s
-        if not self._supervisor.changes.wait_for(lambda: self._check.has_taken_over(self._healthy(standby)), bound_s):
+        end_s = max(due_s, time.monotonic()) + _FIRST_S + 3 * latency_s
+
+        def told() -> Report | None:
+            report = self._healthy(standby)
+            return report if self._check.has_taken_over(report) or report.received_s > end_s else None
+
+        report = self._supervisor.changes.wait_for(told, end_s + _TOLD_S - time.monotonic())
+        if report is None or not self._check.has_taken_over(report):
             raise NotReadyError(
                 f"The new {self._check.noun} did not act after the handover; the old one acts again.",
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",

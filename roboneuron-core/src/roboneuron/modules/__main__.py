@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from roboneuron.errors import StateError
 from roboneuron.log_files import begin_logging
-from roboneuron.modules.parent_watch import Signals, end_group, follow_parent, watch_stdin
+from roboneuron.modules.parent_watch import Signals, end_group, follow_parent
 from roboneuron.modules.settings import MODULE_CLASSES, ModuleSettings
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.claim import LEAVE_S, claim
@@ -44,7 +44,7 @@ def _run(settings: ModuleSettings) -> None:
     node = ModuleNode(settings, kind)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch_stdin(signals.leave, node.note_beat)
+    node.watch_parent(signals.leave)
     for reference in settings.on_join:
         _call(reference)
     try:

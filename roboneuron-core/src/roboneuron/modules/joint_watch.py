@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, RobotProfile
 from roboneuron.contract.profile import prismatic_joints
-from roboneuron.errors import InvalidInputError, UnsafeError
+from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
 
 F64 = NDArray[np.float64]
 
@@ -51,13 +51,16 @@ class JointWatch:
             ros_now_ns: time by the clock of stamps.
 
         Raises:
-            InvalidInputError: it is older than the one before, or its stamp is far from now.
+            NotReadyError: it was measured too long ago.
+            InvalidInputError: it is older than the one before, or its stamp lies in the future.
             UnsafeError: a joint of the arm is missing, not finite, or where it cannot have got to.
         """
         age_s = (ros_now_ns - joints.stamp_ns) / 1e9
         if abs(age_s) > self._timeout_s:
-            raise InvalidInputError(
-                f"A joint state was measured {abs(age_s):.3g} s {'ago' if age_s > 0 else 'in the future'}, at most "
+            late = age_s > 0
+            error = NotReadyError if late else InvalidInputError  # on a busy machine anything is late now and then
+            raise error(
+                f"A joint state was measured {abs(age_s):.3g} s {'ago' if late else 'in the future'}, at most "
                 f"{self._timeout_s:g} s are allowed.",
                 hint="Is the robot's driver stuck, or are the clocks of two machines apart?",
             )

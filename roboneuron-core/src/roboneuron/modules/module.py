@@ -20,6 +20,7 @@ from std_msgs.msg import Bool, Empty
 from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.handover import Handover, load_handover
+from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
@@ -152,6 +153,10 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         return self._attempt(self._shut_down, "finalized", otherwise="finalized")
+
+    def watch_parent(self, on_end: Callable[[], None]) -> None:
+        """From now on listen to the server on stdin; `on_end` is called when it is gone."""
+        self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
         """The server has shown that it lives, or announced a request; called from the thread that reads stdin."""

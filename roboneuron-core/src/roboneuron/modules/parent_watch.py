@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import signal
 import sys
 import threading
@@ -22,6 +23,9 @@ GRACE_S = 1.5
 """Time between the parent's end and a hard exit."""
 _ALARM_S = 0.3
 """The kernel's alarm comes so long after the exit that should have made it needless."""
+
+_MOST_IN_A_PIPE = 2**20
+"""Bytes. Source: pipe(7), /proc/sys/fs/pipe-max-size."""
 
 
 class Signals:
@@ -61,6 +65,46 @@ class Signals:
         self._pressed = True
 
 
+def _unheard(_: bytes) -> None:
+    """Nobody asks whether the server lives."""
+
+
+class ParentPipe:
+    """Stdin, whose other end only the parent holds; read by any thread that has to know what the parent has written.
+
+    From now on descriptor 0 is the null device: a child that reads its stdin would take what is meant for this process.
+
+    Args:
+        on_data: gets what was read, in its order.
+    """
+
+    def __init__(self, on_data: Callable[[bytes], None] = _unheard) -> None:
+        self._on_data = on_data
+        self._lock = threading.Lock()
+        self._descriptor = os.dup(0)
+        null = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(null, 0)
+        os.close(null)
+
+    def read(self) -> bool:
+        """Read all that has been written until now; False when the parent's end is closed.
+
+        When this returns, `on_data` has had every byte that was written before the call, whoever has read it.
+        """
+        with self._lock:
+            if not select.select([self._descriptor], [], [], 0)[0]:
+                return True
+            data = os.read(self._descriptor, _MOST_IN_A_PIPE)
+            if data:
+                self._on_data(data)
+        return bool(data)
+
+    def read_to_the_end(self) -> None:
+        """Return when the parent's end is closed."""
+        while self.read():
+            select.select([self._descriptor], [], [])
+
+
 def follow_parent(expected_parent: int) -> None:
     """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone."""
     libc = ctypes.CDLL(None, use_errno=True)
@@ -84,23 +128,25 @@ def end_group() -> None:
 
 
 def watch_stdin(
-    on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S
-) -> threading.Thread:
+    on_end: Callable[[], None], on_beat: Callable[[bytes], None] = _unheard, grace_s: float = GRACE_S
+) -> ParentPipe:
     """Call `on_beat` with what comes on stdin: the server lives.
 
     When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may
     hang: by then SIGALRM is set, whose default action needs nobody's help.
+
+    Returns:
+        What this thread reads from; others may read too.
     """
+    pipe = ParentPipe(on_beat)
 
     def watch() -> None:
-        while data := os.read(0, 4096):
-            on_beat(data)
+        pipe.read_to_the_end()
         signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
         on_end()
         threading.Event().wait(grace_s)
         end_group()
         os._exit(3)
 
-    thread = threading.Thread(target=watch, name="parent-watch", daemon=True)
-    thread.start()
-    return thread
+    threading.Thread(target=watch, name="parent-watch", daemon=True).start()
+    return pipe

@@ -4,6 +4,9 @@ ROS does not tell who has sent a request, and anybody on the graph may send one.
 its own over the module's stdin, a pipe that nobody else holds, by a digest of its content. What was not announced is
 refused, counted and reported with the names of the nodes that could have sent it. A foreign node that repeats an
 announced request before the server's own arrives has done what the server wanted.
+
+The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read to its present end,
+by the thread that judges: no thread has to be given the processor in time for that, and nothing has to be waited for.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -28,8 +31,6 @@ from roboneuron.modules.settings import FOREIGN_REQUEST
 from roboneuron.modules.status import ModuleStatus
 
 log = logging.getLogger(__name__)
-_LATE_S = 0.02
-"""The pipe is faster than ROS, but its reader may still be about to take the interpreter's lock."""
 _LOG_PERIOD_S = 1.0
 _MOST = 256
 _REASON = "only the server of this module may do that; use its tools"
@@ -51,28 +52,33 @@ def _digest(content: object) -> bytes:
 
 
 class Announcements:
-    """What the server has announced and the module has not been asked for yet; usable from any thread."""
+    """What the server has announced and the module has not been asked for yet; usable from any thread.
 
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
+    Attributes:
+        catch_up: feeds what the server has written until now.
+    """
+
+    def __init__(self, catch_up: Callable[[], object] = lambda: None) -> None:
+        self.catch_up = catch_up
+        self._lock = threading.Lock()
         self._digests: deque[bytes] = deque(maxlen=_MOST)
         self._rest = b""
         self._is_supervised = False
 
     def feed(self, data: bytes) -> None:
         """Bytes from stdin: a line for each announcement; empty lines are signs of life."""
-        with self._changed:
+        with self._lock:
             self._is_supervised = True
             *lines, self._rest = (self._rest + data).split(b"\n")
             self._digests.extend(line for line in lines if line)
-            self._changed.notify_all()
 
     def take(self, digest: bytes) -> bool:
         """Whether that was announced; everything is, to a module without a server."""
-        with self._changed:
+        self.catch_up()
+        with self._lock:
             if not self._is_supervised:
                 return True
-            if not self._changed.wait_for(lambda: digest in self._digests, _LATE_S):
+            if digest not in self._digests:
                 return False
             self._digests.remove(digest)
             return True

@@ -43,6 +43,8 @@ from roboneuron.supervisor.supervisor import Supervisor
 from roboneuron.supervisor.watch import Watch
 
 log = logging.getLogger(__name__)
+_STOP_S = 1.5
+"""When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
 T = TypeVar("T")
 
 INSTRUCTIONS = """\
@@ -180,10 +182,11 @@ class Application:
         self.server = self._build(config.server.name)
 
     def close(self) -> None:
-        """Stop all motion, modules and threads; idempotent."""
+        """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
         self._watch.close()
-        self.features.close()
         self.direct.close()
+        self.supervisor.stop_all(_STOP_S)
+        self.features.close()
         self.supervisor.close()
         self.events.tell_end()
 

@@ -19,6 +19,16 @@ from roboneuron.server.sections import check_configuration
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
 
 log = logging.getLogger(__name__)
+_END_S = 20.0
+"""Ten times what an end takes; a machine that is overloaded needs up to 12 s."""
+
+
+def _end_soon() -> None:
+    """The kernel ends this process in a while, whatever hangs in it; its modules hear of that and leave.
+
+    The default action of SIGALRM needs nobody's help. Callable from any thread.
+    """
+    signal.setitimer(signal.ITIMER_REAL, _END_S)
 
 
 def serve(config: Config, wire: tuple[int, int]) -> None:
@@ -41,6 +51,7 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
         application.open()
         anyio.run(_serve, application, transport)
     finally:
+        _end_soon()
         application.close()
 
 
@@ -65,7 +76,9 @@ async def _serve(application: Application, transport: Transport) -> None:
 async def _serve_stdio(application: Application, wire: tuple[int, int], leave: anyio.Event) -> None:
     """Serve one client until it leaves."""
     writer = LineWriter(wire[1])
-    reader = MessageReader(wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64)
+    reader = MessageReader(
+        wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64, _end_soon
+    )
     writer.start()
 
     async def end(scope: anyio.CancelScope) -> None:

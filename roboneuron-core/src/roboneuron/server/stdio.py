@@ -87,13 +87,17 @@ class MessageReader:
         descriptor: read by a thread of its own.
         answer: gets the answers to what is refused; called from that thread.
         most: requests that are at work at once; more wait here, where others can overtake them.
+        on_end: called from that thread when the client has left.
     """
 
     last_context = None
 
-    def __init__(self, descriptor: int, answer: Callable[[str], None], most: int) -> None:
+    def __init__(
+        self, descriptor: int, answer: Callable[[str], None], most: int, on_end: Callable[[], None] = lambda: None
+    ) -> None:
         self._descriptor = descriptor
         self._answer = answer
+        self._on_end = on_end
         self._most = {_PING: _MOST_PINGS, _OTHER: most}
         self._lock = threading.Lock()
         self._waiting: dict[int, deque[tuple[Any, int]]] = {lane: deque() for lane in (_URGENT, _OTHER, _PING)}
@@ -195,6 +199,7 @@ class MessageReader:
         except OSError as error:
             sys.stderr.write(f"Reading from the client failed: {error}\n")
         finally:
+            self._on_end()
             self._has_ended = True
             self._wake()
 

@@ -100,10 +100,12 @@ class Launcher:
             Bringup(slot, process, settings, self.connection.link(), self.board, on_stage, absent).run(deadline_s)
             phase = "running"
         finally:
-            if phase != "running" and slot.process is not None:
-                end_processes([slot.process], settings.config.supervisor.stop_timeout_s)
-                self.board.forget(settings.status_name, slot.process.pid)
-            slot.settle(phase)
+            try:
+                if phase != "running" and slot.process is not None:
+                    end_processes([slot.process], settings.config.supervisor.stop_timeout_s)
+                    self.board.forget(settings.status_name, slot.process.pid)
+            finally:
+                slot.settle(phase)  # also when it survives SIGKILL, else nobody could start one again
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot, settings, slot.process)  # it died between its proof and here
             self._on_change(slot.kind)

@@ -130,13 +130,27 @@ class ModuleProcess:
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
-        self.announce(b"")
+        self._write(b"\n")
 
     def announce(self, digest: bytes) -> None:
-        """Tell the process that a request comes from its server, before that is sent; see `modules.requests`."""
+        """Tell the process that a request comes from its server, before that is sent; see `modules.requests`.
+
+        Raises:
+            NotReadyError: it has read nothing for so long that its pipe is full: it would take the request for a
+                foreign one.
+        """
+        if not self._write(digest + b"\n"):
+            raise NotReadyError(f"{self.name} (pid {self.pid}) does not read what its server tells it; it hangs.")
+
+    def _write(self, line: bytes) -> bool:
+        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are never cut)."""
         with self._reaping, suppress(OSError):
             if self._child.returncode is None and self._child.stdin is not None:
-                os.write(self._child.stdin.fileno(), digest + b"\n")
+                try:
+                    os.write(self._child.stdin.fileno(), line)
+                except BlockingIOError:
+                    return False
+        return True
 
     def terminate(self) -> None:
         """SIGTERM to the process: hold, release, leave."""
