@@ -15,7 +15,7 @@ JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
-  plugins/rn-tools-arm
+  plugins/rn-tools-arm plugins/rn-tools-inspect
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\

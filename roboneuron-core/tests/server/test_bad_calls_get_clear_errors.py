@@ -53,8 +53,6 @@ CASES: list[tuple[str, dict[str, Any], str, str]] = [
     ("set_instruction", {"instruction": "go"}, "wrong_state", "inference is not running"),
     ("set_instruction", {"instruction": "go", "timeout_s": -1}, "invalid_input", "Argument 'timeout_s' is -1"),
     ("stop_robot", {}, "wrong_state", "robot is not running"),
-    ("get_camera_image", {"camera": "fornt"}, "invalid_input", "Did you mean 'front'? Choose one of: front, hand."),
-    ("get_camera_image", {"camera": "front", "format": "gif"}, "invalid_input", "Choose one of: jpeg, png."),
 ]
 
 
