@@ -43,7 +43,8 @@ def tools_reference() -> str:
     application = Application(config, plugins=catalogue)
     try:
         listing = application.tools.listing()
-        sections = [_section(tool, application.tools.output_schema(tool.name)) for tool in listing]
+        found = [application.tools.get(tool.name) for tool in listing]
+        sections = [_section(shown, tool.output_schema()) for shown, tool in zip(listing, found, strict=True) if tool]
     finally:
         application.close()
     return "\n".join([_HEADER, _summary(listing), *sections])

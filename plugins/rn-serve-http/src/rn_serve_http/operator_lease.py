@@ -13,7 +13,6 @@ from pydantic import Field
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import OPERATOR
-from roboneuron.server.tool import DerivedTool
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -61,7 +60,7 @@ class OperatorLease:
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def admit(self, tool: Tool[Any] | DerivedTool, context: CallContext) -> None:
+    def admit(self, tool: Tool[Any], context: CallContext) -> None:
         """Let a call through, or not. What reads and what stops is for everybody.
 
         Raises:
