@@ -122,6 +122,6 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
+	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases

@@ -27,6 +27,7 @@ class Move(Arguments):
     dry_run: bool = False
     steps: list[Step] = Field(default_factory=list)
     note: str | None = None
+    box_m: tuple[float, float] = (0.0, 1.0)
 
 
 DERIVED = Derived(
@@ -58,6 +59,18 @@ def test_what_does_not_fit_is_refused_by_name(given: dict[str, Any], words: str,
         parse(Move, given)
     assert words in str(caught.value)
     assert caught.value.path == path
+
+
+def test_a_list_is_a_tuple_where_the_model_has_one() -> None:
+    assert parse(Move, {"box_m": [1, 2.5]}).box_m == (1.0, 2.5)
+    for wrong in ([1], [1, True], "12"):
+        with pytest.raises(InvalidInputError, match="box_m"):
+            parse(Move, {"box_m": wrong})
+
+
+def test_what_is_no_text_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="no Unicode"):
+        parse(Move, {"note": "\ud800"})
 
 
 def test_an_integer_may_be_written_with_a_point_and_null_is_omitted() -> None:

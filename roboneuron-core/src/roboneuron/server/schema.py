@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -147,7 +148,7 @@ def parse(
         if fields[name].annotation is int and isinstance(value, float) and value.is_integer():
             given[name] = int(value)
     try:
-        parsed = model.model_validate(given)
+        parsed = model.model_validate_json(json.dumps(given))  # as JSON: strict, but a list is a tuple where one is due
     except ValidationError as error:
         raise _explain(model, error) from error
     for name, allowed in (choices or {}).items():
@@ -180,8 +181,9 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
         return InvalidInputError(f"Argument {path!r} is missing.", path=path)
     if first["type"] == "literal_error":
         return _no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+    if first["type"] == "json_invalid":
+        return InvalidInputError("The call holds text that is no Unicode, or is nested too deeply.")
     what = first["msg"].replace("Input should be ", "expected ")
-    what = what.replace("dictionary", "object").replace("list", "array")
     return InvalidInputError(f"Argument {path!r} is {_short(first['input'])}, {what}.", path=path)
 
 

@@ -17,7 +17,7 @@ Stage = Callable[[str], None]
 
 
 class Arguments(BaseModel):
-    """Base of all argument models: nothing unknown, nothing converted (lists stay lists), no NaN and no infinity."""
+    """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
