@@ -15,7 +15,7 @@ JOBS ?= 2
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
-  plugins/rn-tools-arm
+  plugins/rn-tools-arm plugins/rn-tools-inspect
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
@@ -124,6 +124,6 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil types-jsonschema psutil build hatchling editables \
+	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases

@@ -225,7 +225,7 @@ def test_a_feature_admits_calls(make):
 
     async def ask() -> Any:
         async with Client(application.server) as client:
-            return await client.call_tool("list_robots", {})
+            return await client.call_tool("get_status", {})
 
     application.tools._ready = None  # no ROS here
     answer = anyio.run(ask)

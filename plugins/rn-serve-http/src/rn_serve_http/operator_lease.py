@@ -13,7 +13,6 @@ from pydantic import Field
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import OPERATOR
-from roboneuron.server.tool import DerivedTool
 from roboneuron.supervisor.periodic import Periodic
 
 log = logging.getLogger(__name__)
@@ -61,7 +60,7 @@ class OperatorLease:
         self._renewed_s = 0.0
         self._thread = Periodic("lease", _LOOK_S, self.look)
 
-    def admit(self, tool: Tool[Any] | DerivedTool, context: CallContext) -> None:
+    def admit(self, tool: Tool[Any], context: CallContext) -> None:
         """Let a call through, or not. What reads and what stops is for everybody.
 
         Raises:

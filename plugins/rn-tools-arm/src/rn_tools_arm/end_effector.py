@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -18,12 +18,11 @@ from rn_tools_arm.options import ArmToolsOptions
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Action, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest
-from roboneuron.server.arguments import Number, check_names, take_flag
 from roboneuron.server.host import Host
 from roboneuron.server.motion.delivery import Command
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.tool import Answer, CallContext, Result, Stage
+from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
 _REACHED_M, _REACHED_RAD = 0.002, 0.01
@@ -33,6 +32,26 @@ _GRIPPER_S = 0.8
 _MEASURED_S, _POSE_S = 2.0, 0.5
 """Longest wait for control and the first measurement, and for the next ones."""
 _AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
+_Delta = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M)]
+_Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
+
+
+class MoveEndEffector(Arguments):
+    """Arguments of move_ee."""
+
+    dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
+    dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
+    dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
+    rx_rad: _Turn = Field(default=0.0, description="Rotation vector, x component [rad].")
+    ry_rad: _Turn = Field(default=0.0, description="Rotation vector, y component [rad].")
+    rz_rad: _Turn = Field(default=0.0, description="Rotation vector, z component [rad].")
+    gripper_open: float | None = Field(
+        default=None, ge=0, le=1, description="Opening, 0 closed .. 1 open; kept when omitted."
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
+    )
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
 
 
 class EndEffectorMove(Result):
@@ -68,28 +87,13 @@ class EndEffectorMover:
         self._gate = host.gate
         self._host = host
         self._options = options
-        axis = {"x": "forwards", "y": "to the left", "z": "up"}
-        self.numbers = {
-            **{f"d{a}_m": Number(text=f"Along {a} of the base ({word}) [m].", low=-_FURTHEST_M, high=_FURTHEST_M,
-                                 default=0.0) for a, word in axis.items()},
-            **{f"r{a}_rad": Number(text=f"Rotation vector, {a} component [rad].", low=-_FURTHEST_RAD,
-                                   high=_FURTHEST_RAD, default=0.0) for a in axis},
-            "gripper_open": Number(text="Opening, 0 closed .. 1 open; kept when omitted.", low=0.0, high=1.0),
-            "duration_s": Number(text="Time for the move; as fast as allowed when omitted [s].", low=0.0,
-                                 high=host.gate.max_duration_s, above=True),
-        }  # fmt: skip
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
-        known = [*self.numbers, "dry_run"]
-        if self._profile.gripper is None:
-            known.remove("gripper_open")
-        check_names(arguments, known)
         order = self._order(arguments)
-        dry_run = take_flag(arguments, "dry_run")
         request = gate_request(
-            context, "move_ee", self._exposed, [self._message(np.zeros(6), order.gripper_open or 0.0)], arguments,
-            dry_run=dry_run,
+            context, "move_ee", self._exposed, [self._message(np.zeros(6), order.gripper_open or 0.0)],
+            arguments.given(), dry_run=arguments.dry_run,
         )  # fmt: skip
         request = replace(request, predict=lambda: self._predict(order))
         halt = threading.Event()
@@ -97,19 +101,15 @@ class EndEffectorMover:
             lambda stage: self._move(order, request, stage, halt), on_cancel=halt.set, on_leave=halt.set
         )
 
-    def _order(self, arguments: Mapping[str, Any]) -> Order:
-        values = np.array([self.numbers[name].take(name, arguments) for name in _AXES])
-        gripper = None
-        if arguments.get("gripper_open") is not None:
-            gripper = self.numbers["gripper_open"].take("gripper_open", arguments)
+    def _order(self, arguments: MoveEndEffector) -> Order:
+        values = np.array([getattr(arguments, name) for name in _AXES])
+        gripper = arguments.gripper_open
         if gripper is None and not values.any():
             raise InvalidInputError("The call asks for no move.", hint="Give one of the deltas, or gripper_open.")
         options = self._options
         distance_m, turn_rad = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
         shortest_s = max(distance_m / options.ee_speed_m_s, turn_rad / options.ee_turn_rad_s, STEP_S)
-        asked_s = None
-        if arguments.get("duration_s") is not None:
-            asked_s = self.numbers["duration_s"].take("duration_s", arguments)
+        asked_s = arguments.duration_s
         if asked_s is not None and asked_s < shortest_s * 0.999:
             raise RefusedError(
                 f"A move of {distance_m:.3f} m and {turn_rad:.2f} rad in {asked_s:g} s is too fast: at least "
@@ -126,7 +126,7 @@ class EndEffectorMover:
         dimension = {"label": ACTION_LABEL, "size": ACTION_SIZE, "stride": ACTION_SIZE}
         return self._exposed.message.encode({"layout": {"dim": [dimension]}, "data": values}, now_ns=0)
 
-    def _move(self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event) -> Answer:
+    def _move(self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event) -> EndEffectorMove:
         gate, exposed = self._gate, self._exposed
         if request.dry_run:
             reason = self._why_not()
@@ -242,7 +242,7 @@ class EndEffectorMover:
     def _answer(
         self, order: Order, sent: int, duration_s: float, start: Pose | None, end: Pose | None, *,
         allowed: bool = True, reason: str = "", dry_run: bool = False,
-    ) -> Answer:  # fmt: skip
+    ) -> EndEffectorMove:  # fmt: skip
         moved, error = np.zeros(6), np.zeros(6)
         if start is not None and end is not None:
             moved = difference(start, end)
@@ -250,18 +250,16 @@ class EndEffectorMover:
         asked = dict(zip(_AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True))
         if order.gripper_open is not None:
             asked["gripper_open"] = order.gripper_open
-        return Answer(
-            structured={
-                "robot": self._exposed.robot,
-                "asked": asked,
-                "moved": dict(zip(_AXES, rounded(moved), strict=True)),
-                "position_m": rounded(end.position_m) if end is not None else [],
-                "error_m": round(float(np.linalg.norm(error[:3])), 5),
-                "error_rad": round(float(np.linalg.norm(error[3:])), 5),
-                "sent": sent,
-                "duration_s": round(duration_s, 3),
-                "dry_run": dry_run,
-                "allowed": allowed,
-                "reason": reason,
-            }
+        return EndEffectorMove(
+            robot=self._exposed.robot,
+            asked=asked,
+            moved=dict(zip(_AXES, rounded(moved), strict=True)),
+            position_m=rounded(end.position_m) if end is not None else [],
+            error_m=round(float(np.linalg.norm(error[:3])), 5),
+            error_rad=round(float(np.linalg.norm(error[3:])), 5),
+            sent=sent,
+            duration_s=round(duration_s, 3),
+            dry_run=dry_run,
+            allowed=allowed,
+            reason=reason,
         )

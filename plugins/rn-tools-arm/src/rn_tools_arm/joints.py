@@ -13,22 +13,13 @@ from pydantic import Field
 from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.gate.motion.joint_space import JointLimit, joint_limits, shortest_s
-from roboneuron.server.arguments import (
-    Number,
-    Schema,
-    boolean,
-    check_names,
-    object_schema,
-    take_flag,
-    take_object,
-)
 from roboneuron.server.motion.delivery import Command
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.joint_commands import TRAJECTORY
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.schema import output_schema
-from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
+from roboneuron.server.schema import Derived, Schema, unknown_name
+from roboneuron.server.tool import Arguments, CallContext, Result, Stage, Tool
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
@@ -37,6 +28,18 @@ _NEARLY = 0.95
 _SETTLE_S = 3.0
 _MEASURED_S = 2.0
 """Longest wait for a measurement, and for the robot to subscribe."""
+
+
+class MoveJoints(Arguments):
+    """Arguments of move_joints."""
+
+    positions: dict[str, float] = Field(
+        min_length=1, description="Target by joint, rad or m; the others stay where they are."
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
+    )
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
 
 
 class JointMove(Result):
@@ -51,7 +54,7 @@ class JointMove(Result):
     reason: str
 
 
-def joint_tools(endpoints: Iterable[Exposed], gate: MotionGate) -> list[DerivedTool]:
+def joint_tools(endpoints: Iterable[Exposed], gate: MotionGate) -> list[Tool[Any]]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
     found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None)
     if found is None or found.profile is None:
@@ -59,32 +62,27 @@ def joint_tools(endpoints: Iterable[Exposed], gate: MotionGate) -> list[DerivedT
     limits = joint_limits(found.profile)
     mover = _JointMover(found, limits, gate)
     joints: Schema = {
-        "type": "object",
         "properties": {
             name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper} for name, limit in limits.items()
         },
-        "minProperties": 1,
         "additionalProperties": False,
-        "description": "Target by joint, rad or m; the others stay where they are.",
     }
     return [
-        DerivedTool(
+        Tool(
             name="move_joints",
             title="Move joints",
             description=(
                 f"Move joints of {found.robot!r} to positions [rad, m], within their position and velocity limits. "
                 "Needs start_robot; refused while a policy runs. Returns when they are measured there."
             ),
-            input_schema=object_schema(
-                {
-                    "positions": joints,
-                    "duration_s": mover.duration.schema(),
-                    "dry_run": boolean("Only answer what would happen; nothing is sent."),
-                },
-                ["positions"],
+            arguments=Derived(
+                model=MoveJoints,
+                properties={"positions": joints, "duration_s": {"maximum": gate.max_duration_s}, "dry_run": {}},
+                required=["positions"],
             ),
-            output_schema=output_schema(JointMove),
+            result=JointMove,
             handler=mover,
+            open_world=True,
         )
     ]
 
@@ -96,36 +94,28 @@ class _JointMover:
         self._exposed = exposed
         self._limits = limits
         self._gate = gate
-        self.duration = Number(
-            text="Time for the move [s]; an easy pace when omitted.", low=0.0, high=gate.max_duration_s, above=True
-        )
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: MoveJoints, context: CallContext) -> JointMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
-        check_names(arguments, ["positions", "duration_s", "dry_run"])
-        given = take_object(arguments, "positions", required=True)
-        if not given:
-            raise InvalidInputError("positions names no joint.", path="positions")
-        check_names(given, list(self._limits))
-        target = {}
-        for name in given:
+        for name, value in arguments.positions.items():
+            if name not in self._limits:
+                raise unknown_name("positions", name, list(self._limits))
             limit = self._limits[name]
-            bounds = Number(text="", low=limit.lower, high=limit.upper)
-            target[name] = bounds.take(name, given)
-        asked_s = self.duration.take("duration_s", arguments) if arguments.get("duration_s") is not None else None
-        dry_run = take_flag(arguments, "dry_run")
+            if not limit.lower <= value <= limit.upper:
+                raise InvalidInputError(
+                    f"positions.{name} is {value:g}, expected from {limit.lower:g} to {limit.upper:g}.",
+                    path=f"positions.{name}",
+                )
         halt = threading.Event()
         return await context.run(
-            lambda stage: self._move(target, asked_s, arguments, context, dry_run, stage, halt),
+            lambda stage: self._move(arguments, context, stage, halt),
             on_cancel=halt.set,
             on_leave=halt.set,
         )
 
-    def _move(
-        self, target: Mapping[str, float], asked_s: float | None, arguments: Mapping[str, Any], context: CallContext,
-        dry_run: bool, stage: Stage, halt: threading.Event,
-    ) -> Answer:  # fmt: skip
+    def _move(self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event) -> JointMove:
         exposed, gate = self._exposed, self._gate
+        target, asked_s, dry_run = arguments.positions, arguments.duration_s, arguments.dry_run
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
@@ -135,7 +125,7 @@ class _JointMover:
             "move_joints",
             exposed,
             [_message(exposed, target, duration_s)],
-            arguments,
+            arguments.given(),
             joints=joints,
             dry_run=dry_run,
         )
@@ -194,17 +184,15 @@ class _JointMover:
     def _answer(
         self, target: Mapping[str, float], joints: JointSample, duration_s: float, allowed: bool, reason: str,
         dry_run: bool,
-    ) -> Answer:  # fmt: skip
-        return Answer(
-            structured={
-                "robot": self._exposed.robot,
-                "position": {name: round(_position(joints, name), 5) for name in target},
-                "error": round(_error(target, joints), 5),
-                "duration_s": round(duration_s, 3),
-                "dry_run": dry_run,
-                "allowed": allowed,
-                "reason": reason,
-            }
+    ) -> JointMove:  # fmt: skip
+        return JointMove(
+            robot=self._exposed.robot,
+            position={name: round(_position(joints, name), 5) for name in target},
+            error=round(_error(target, joints), 5),
+            duration_s=round(duration_s, 3),
+            dry_run=dry_run,
+            allowed=allowed,
+            reason=reason,
         )
 
 

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from rn_tools_arm.end_effector import EndEffectorMove, EndEffectorMover
+from typing import Any
+
+from rn_tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
 from rn_tools_arm.joints import joint_tools
 from rn_tools_arm.options import ArmToolsOptions
-from roboneuron.server.arguments import Schema, boolean, object_schema
 from roboneuron.server.host import Host
 from roboneuron.server.motion.exposed import ACTION_LABEL
-from roboneuron.server.schema import output_schema
-from roboneuron.server.tool import DerivedTool
+from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.tool import Tool
 
 
-def arm_tools(host: Host, options: ArmToolsOptions) -> list[DerivedTool]:
+def arm_tools(host: Host, options: ArmToolsOptions) -> list[Tool[Any]]:
     """move_ee and move_joints, for the arm among the exposed endpoints."""
     listed = host.gate.exposed
     tools = joint_tools([e for e in listed if not e.hidden], host.gate)
     action = next((e for e in listed if e.hidden and e.label == ACTION_LABEL), None)
     if action is None or action.profile is None:
         return tools
-    mover = EndEffectorMover(action, action.profile, host, options)
-    numbers = mover.numbers
-    properties: dict[str, Schema] = {name: number.schema() for name, number in numbers.items()}
+    properties: dict[str, Schema] = {name: {} for name in MoveEndEffector.model_fields}
+    properties["duration_s"] = {"maximum": host.gate.max_duration_s}
     if action.profile.gripper is None:
         del properties["gripper_open"]
-    properties["dry_run"] = boolean("Only answer what would happen; nothing is sent.")
-    move = DerivedTool(
+    move: Tool[Any] = Tool(
         name="move_ee",
         title="Move the end effector",
         description=(
@@ -34,8 +33,9 @@ def arm_tools(host: Host, options: ArmToolsOptions) -> list[DerivedTool]:
             f"{options.ee_turn_rad_s:g} rad/s. Needs start_robot and start_control; refused while a policy runs. "
             "Returns what was measured when the arm is there; an error says where it stopped and why."
         ),
-        input_schema=object_schema(properties),
-        output_schema=output_schema(EndEffectorMove),
-        handler=mover,
+        arguments=Derived(model=MoveEndEffector, properties=properties),
+        result=EndEffectorMove,
+        handler=EndEffectorMover(action, action.profile, host, options),
+        open_world=True,
     )
     return [move, *tools]

@@ -5,39 +5,56 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
-from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
+from pydantic import Field
+
+from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
 from roboneuron.interfaces import ActionInterface
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.goals import GoalEnd
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.tool import Answer, CallContext, Stage
+from roboneuron.server.schema import Derived
+from roboneuron.server.tool import CallContext, Stage
 
 _FEEDBACK_PERIOD_S = 0.1
-SERVER = Number(text="How long to wait for the action server, in seconds.", low=0.0, high=60.0, default=2.0)
+_LONGEST_S = 60.0
 
 
-def goal_schema(targets: Targets) -> Schema:
-    """The output schema; a dry run has no result."""
+class SendGoal(SendingCall):
+    """Arguments of an action tool."""
+
+    goal: Value = Field(default_factory=dict)
+    timeout_s: float | None = Field(
+        default=None, gt=0, description="How long the goal may take, in seconds; then it is cancelled."
+    )
+    server_timeout_s: float = Field(
+        default=2.0, ge=0, le=60, description="How long to wait for the action server, in seconds."
+    )
+
+
+class GoalResult(Judged):
+    """How the goal ended; a dry run has no result."""
+
+    robot: str
+    action: str
+    type: str
+    status: Literal["succeeded", ""] = Field(description="empty in a dry run")
+    result: Value = Field(default_factory=dict)
+    feedbacks: int = Field(description="how many feedback messages came")
+    took_s: float
+
+
+def goal_model(targets: Targets) -> Derived[GoalResult]:
+    """The result, with the schema of the decoded one of the action."""
     interface = targets.first.interface
     assert isinstance(interface, ActionInterface)
-    properties: dict[str, Schema] = {
-        "robot": {"type": "string"},
-        "action": {"type": "string"},
-        "type": {"type": "string"},
-        "status": {"type": "string", "enum": ["succeeded", ""], "description": "empty in a dry run"},
-        "result": decoded_schema(interface.result),
-        "feedbacks": {"type": "integer", "description": "how many feedback messages came"},
-        "took_s": {"type": "number"},
-        **VERDICT,
-    }
-    return object_schema(properties, [name for name in properties if name != "result"])
+    own: dict[str, dict[str, Any]] = {name: {} for name in GoalResult.model_fields}
+    required = [name for name in own if name != "result"]
+    return Derived(model=GoalResult, properties=own | {"result": decoded_schema(interface.result)}, required=required)
 
 
 class GoalSending:
@@ -47,21 +64,17 @@ class GoalSending:
         self._gate = gate
         self._targets = targets
         self._tool = tool
-        self.timeout = timeout_argument(gate)
-        self._names = [*targets.arguments, "goal", "timeout_s", "server_timeout_s", "dry_run"]
+        self.timeout_s = min(_LONGEST_S, gate.max_duration_s)
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: SendGoal, context: CallContext) -> GoalResult:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
-        check_names(arguments, self._names)
-        exposed = self._targets.take(arguments)
+        exposed = self._targets.of(arguments.robot)
         interface = exposed.interface
         assert isinstance(interface, ActionInterface)
-        timeout_s = self.timeout.take("timeout_s", arguments)
-        server_s = SERVER.take("server_timeout_s", arguments)
-        dry_run = take_flag(arguments, "dry_run")
-        message = encode_argument(interface.goal, arguments, "goal")
+        timeout_s = arguments.timeout_s or self.timeout_s
+        message = encode_argument(interface.goal, arguments.goal, "goal")
         request = gate_request(
-            context, self._tool, exposed, [message], arguments, dry_run=dry_run,
+            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run,
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
         )  # fmt: skip
         halt = threading.Event()
@@ -70,36 +83,27 @@ class GoalSending:
             progress = _Progress(interface, stage)
             end = self._gate.send_goal(
                 exposed, request,
-                timeout_s=timeout_s, server_s=server_s, halt=halt, on_feedback=progress.take,
+                timeout_s=timeout_s, server_s=arguments.server_timeout_s, halt=halt, on_feedback=progress.take,
             )  # fmt: skip
             return end, progress
 
         end, progress = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
-        structured: dict[str, Any] = {
-            "robot": exposed.robot,
-            "action": exposed.topic,
-            "type": exposed.endpoint.type,
-            "status": end.status,
-            "feedbacks": progress.count,
-            "took_s": round(end.took_s, 6),
+        decoded: dict[str, Any] = {"result": interface.result.decode(end.result)} if end.status else {}
+        if end.status not in ("succeeded", ""):
+            raise StateError(
+                f"The goal of {exposed.topic} was {end.status} after {end.took_s:.2f} s; "
+                f"result: {json.dumps(decoded['result'])[:500]}."
+            )
+        return GoalResult(
+            robot=exposed.robot,
+            action=exposed.topic,
+            type=exposed.endpoint.type,
+            status="succeeded" if end.status else "",
+            feedbacks=progress.count,
+            took_s=round(end.took_s, 6),
             **verdict_fields(end.verdict),
-        }
-        if end.status:
-            result = structured["result"] = interface.result.decode(end.result)
-            if end.status != "succeeded":
-                raise StateError(
-                    f"The goal of {exposed.topic} was {end.status} after {end.took_s:.2f} s; "
-                    f"result: {json.dumps(result)[:500]}."
-                )
-        return Answer(structured=structured)
-
-
-def timeout_argument(gate: MotionGate) -> Number:
-    """How long a goal may take."""
-    return Number(
-        text="How long the goal may take, in seconds; then it is cancelled.",
-        low=0.0, high=gate.max_duration_s, default=min(60.0, gate.max_duration_s), above=True,
-    )  # fmt: skip
+            **decoded,
+        )
 
 
 class _Progress:

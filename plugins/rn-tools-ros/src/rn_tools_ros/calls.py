@@ -1,4 +1,4 @@
-"""What the handlers of derived tools share: encoding arguments, telling the gate's verdict."""
+"""What the handlers of derived tools share: arguments, results, encoding messages, telling the gate's verdict."""
 
 from __future__ import annotations
 
@@ -6,23 +6,46 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic import Field
+
 from roboneuron.errors import InvalidInputError
 from roboneuron.gate import Verdict
 from roboneuron.interfaces import MessageInterface
-from roboneuron.server.arguments import Number, Schema, inside, take_object
+from roboneuron.server.tool import Arguments, Result
 
-SUBSCRIBER_TIMEOUT = Number(text="How long to wait for a subscriber, in seconds.", low=0.0, high=60.0, default=5.0)
-VERDICT: dict[str, Schema] = {
-    "dry_run": {"type": "boolean", "description": "it was only a question; nothing was sent"},
-    "allowed": {"type": "boolean"},
-    "rule": {"type": "string", "description": "dry run: the rule that would refuse"},
-    "reason": {"type": "string", "description": "dry run: why"},
-}
-"""Properties of every result of what may be refused."""
+Value = dict[str, Any]
+"""A ROS message as an agent gives it, or reads it."""
+
+
+class RobotCall(Arguments):
+    """Arguments of a call that is about one robot's endpoint."""
+
+    robot: str = Field(default="", description="Which robot.")
+
+
+class SendingCall(RobotCall):
+    """Arguments of a call that sends something."""
+
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+
+
+class PublishingCall(SendingCall):
+    """Arguments of a call that publishes."""
+
+    timeout_s: float = Field(default=5.0, ge=0, le=60, description="How long to wait for a subscriber, in seconds.")
+
+
+class Judged(Result):
+    """Result of what may be refused."""
+
+    dry_run: bool = Field(description="it was only a question; nothing was sent")
+    allowed: bool
+    rule: str = Field(description="dry run: the rule that would refuse")
+    reason: str = Field(description="dry run: why")
 
 
 def verdict_fields(verdict: Verdict) -> dict[str, Any]:
-    """The values of `VERDICT`."""
+    """The values of `Judged`."""
     return {
         "dry_run": verdict.dry_run,
         "allowed": verdict.allowed,
@@ -31,10 +54,10 @@ def verdict_fields(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def encode_argument(part: MessageInterface, arguments: Mapping[str, Any], name: str) -> Any:
-    """The message in argument `name`; raises InvalidInputError with the path inside the arguments."""
-    value = take_object(arguments, name, required=bool(part.fields))
+def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str) -> Any:
+    """The value of argument `name` as a message; raises InvalidInputError with the path inside the arguments."""
     try:
         return part.encode(value, now_ns=time.time_ns())
     except InvalidInputError as error:
-        raise inside(error, name) from error
+        path = f"{name}.{error.path}" if error.path else name
+        raise InvalidInputError(f"{name}: {error.message}", hint=error.hint, path=path) from error

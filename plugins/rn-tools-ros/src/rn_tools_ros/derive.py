@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from typing import Any
 
-from rn_tools_ros import read, service
-from rn_tools_ros.action import SERVER, GoalSending, goal_schema
-from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
+from rn_tools_ros.action import GoalSending, SendGoal, goal_model
 from rn_tools_ros.naming import tool_name
-from rn_tools_ros.publish import Delivery, Publishing, duration_argument
+from rn_tools_ros.publish import Delivery, Publish, Publishing
+from rn_tools_ros.read import Read, Reading, messages_model
 from rn_tools_ros.schemas import hull, message_schema
-from rn_tools_ros.sequence import MAX_STEPS, TIMES, Sequencing
+from rn_tools_ros.sequence import PublishSequence, Sequencing
+from rn_tools_ros.service import Calling, CallService, served_model
 from rn_tools_ros.targets import Targets
 from roboneuron.interfaces import ActionInterface, ServiceInterface
-from roboneuron.server.arguments import Schema, boolean, object_schema
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.schema import output_schema
-from roboneuron.server.tool import DerivedTool
+from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.tool import Tool
 
-DRY_RUN = boolean("Only answer what would happen; nothing is sent.")
 _SENT = "Fails when nobody subscribes."
 
 
-def derive_tools(endpoints: Iterable[Exposed], gate: MotionGate, taken: Collection[str]) -> list[DerivedTool]:
+def derive_tools(endpoints: Iterable[Exposed], gate: MotionGate, taken: Collection[str]) -> list[Tool[Any]]:
     """The tools of the endpoints, in their order; those of one label, kind and type are one tool for all robots.
 
     Args:
@@ -35,144 +34,144 @@ def derive_tools(endpoints: Iterable[Exposed], gate: MotionGate, taken: Collecti
     for exposed in endpoints:
         groups.setdefault((exposed.endpoint.kind, exposed.label, exposed.endpoint.type), []).append(exposed)
     names = set(taken)
-    tools: list[DerivedTool] = []
-    delivery = output_schema(Delivery)
+    tools: list[Tool[Any]] = []
     for (kind, label, _), members in groups.items():
         targets = Targets(members)
         uses = ["publish", "sequence"] if kind == "publish" else [kind]
         for use in uses:
             name = tool_name(use, label, targets.first.robot, names)
             names.add(name)
-            tools.append(_make(use, name, label.replace("_", " "), targets, gate, delivery))
+            tools.append(_make(use, name, label.replace("_", " "), targets, gate))
     return tools
 
 
-def _make(use: str, name: str, noun: str, targets: Targets, gate: MotionGate, delivery: Schema) -> DerivedTool:
-    if use == "publish":
-        return _publish(name, noun, targets, gate, delivery)
-    if use == "sequence":
-        return _sequence(name, noun, targets, gate, delivery)
-    if use == "read":
-        return _read(name, noun, targets, gate)
-    if use == "service":
-        return _service(name, noun, targets, gate)
-    return _action(name, noun, targets, gate)
+def _make(use: str, name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+    makers = {"publish": _publish, "sequence": _sequence, "read": _read, "service": _service, "action": _action}
+    return makers[use](name, noun, targets, gate)
 
 
-def _publish(name: str, noun: str, targets: Targets, gate: MotionGate, delivery: Schema) -> DerivedTool:
+def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
     message = message_schema(targets.first.message, hull([e.endpoint for e in targets.endpoints]))
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
-        properties["duration_s"] = duration_argument(gate).schema()
+        properties["duration_s"] = {"maximum": gate.max_duration_s}
         stops = any(e.endpoint.stop_message for e in targets.endpoints)
         lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
     elif targets.trajectory:
         lasts = "Returns when its time is over; cancelling the call ends it, the joints hold then. "
-    properties |= {"timeout_s": SUBSCRIBER_TIMEOUT.schema(), "dry_run": DRY_RUN}
-    return DerivedTool(
+    properties |= {"timeout_s": {}, "dry_run": {}}
+    return Tool(
         name=name,
         title=f"Publish {noun}",
         description=f"{targets.describe()} {lasts}{_SENT}",
-        input_schema=object_schema(properties, _required(targets, "message")),
-        output_schema=delivery,
+        arguments=Derived(
+            model=Publish, properties=properties, required=_required(targets, "message", targets.first.message.fields)
+        ),
+        result=Delivery,
         handler=Publishing(gate, targets, name),
+        open_world=True,
     )
 
 
-def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate, delivery: Schema) -> DerivedTool:
-    message: Schema = {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."}
-    sequencing = Sequencing(gate, targets, name)
-    step = object_schema(
-        {"message": message, "duration_s": sequencing.duration.schema()},
-        [*(["message"] if targets.first.message.fields else []), *([] if targets.trajectory else ["duration_s"])],
-    )
-    steps: Schema = {
-        "type": "array", "items": step, "minItems": 1, "maxItems": MAX_STEPS,
-        "description": "Messages in order, each with the time it lasts.",
+def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+    needed = [*(["message"] if targets.first.message.fields else []), *([] if targets.trajectory else ["duration_s"])]
+    step: Schema = {
+        "type": "object",
+        "properties": {
+            "message": {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."},
+            "duration_s": {
+                "type": "number", "exclusiveMinimum": 0, "maximum": gate.max_duration_s,
+                "description": "How long this step lasts, in seconds.",
+            },
+        },
+        "additionalProperties": False,
+        "required": needed,
     }  # fmt: skip
-    properties = {
-        **targets.schema(),
-        "steps": steps,
-        "times": TIMES.schema(),
-        "timeout_s": SUBSCRIBER_TIMEOUT.schema(),
-        "dry_run": DRY_RUN,
-    }
+    if not needed:
+        del step["required"]
+    steps: Schema = {"items": step, "description": "Messages in order, each with the time it lasts."}
     stops = any(e.endpoint.stop_message for e in targets.endpoints)
     end = "It always ends with the stop message, also when it is cancelled or fails. " if stops else ""
-    return DerivedTool(
+    return Tool(
         name=name,
         title=f"Publish {noun}, step by step",
         description=(
             f"{targets.describe()} Plays the steps one after the other, at most {gate.max_duration_s:g} s, and "
             f"returns at the end; cancelling the call or emergency_stop ends it at once. {end}{_SENT}"
         ),
-        input_schema=object_schema(properties, _required(targets, "steps")),
-        output_schema=delivery,
-        handler=sequencing,
+        arguments=Derived(
+            model=PublishSequence,
+            properties={**targets.schema(), "steps": steps, "times": {}, "timeout_s": {}, "dry_run": {}},
+            required=[*targets.arguments, "steps"],
+        ),
+        result=Delivery,
+        handler=Sequencing(gate, targets, name),
+        open_world=True,
     )
 
 
-def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTool:
-    properties = {**targets.schema(), "count": read.COUNT.schema(), "timeout_s": read.TIMEOUT.schema()}
-    return DerivedTool(
+def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+    return Tool(
         name=name,
         title=f"Read {noun}",
         description=f"{targets.describe()} The latched message, or the next one that comes; with `count` the next n.",
-        input_schema=object_schema(properties, targets.arguments),
-        output_schema=read.reading_schema(targets),
-        handler=read.Reading(gate, targets, name),
+        arguments=Derived(
+            model=Read, properties={**targets.schema(), "count": {}, "timeout_s": {}}, required=targets.arguments
+        ),
+        result=messages_model(targets),
+        handler=Reading(gate, targets, name),
         read_only=True,
         idempotent=True,
+        open_world=True,
     )
 
 
-def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTool:
+def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
     interface = targets.first.interface
     assert isinstance(interface, ServiceInterface)
     request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
-    properties = {
-        **targets.schema(),
-        "request": request,
-        "timeout_s": service.TIMEOUT.schema(),
-        "dry_run": DRY_RUN,
-    }
-    required = [*targets.arguments, *(["request"] if interface.request.fields else [])]
-    return DerivedTool(
+    return Tool(
         name=name,
         title=f"Call {noun}",
         description=f"{targets.describe()} Calls the service and returns its response.",
-        input_schema=object_schema(properties, required),
-        output_schema=service.service_schema(targets),
-        handler=service.Calling(gate, targets, name),
+        arguments=Derived(
+            model=CallService,
+            properties={**targets.schema(), "request": request, "timeout_s": {}, "dry_run": {}},
+            required=_required(targets, "request", interface.request.fields),
+        ),
+        result=served_model(targets),
+        handler=Calling(gate, targets, name),
+        open_world=True,
     )
 
 
-def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTool:
+def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
     interface = targets.first.interface
     assert isinstance(interface, ActionInterface)
     sending = GoalSending(gate, targets, name)
     properties = {
         **targets.schema(),
         "goal": message_schema(interface.goal, hull([e.endpoint for e in targets.endpoints])),
-        "timeout_s": sending.timeout.schema(),
-        "server_timeout_s": SERVER.schema(),
-        "dry_run": DRY_RUN,
+        "timeout_s": {"maximum": gate.max_duration_s, "default": sending.timeout_s},
+        "server_timeout_s": {},
+        "dry_run": {},
     }
-    required = [*targets.arguments, *(["goal"] if interface.goal.fields else [])]
-    return DerivedTool(
+    return Tool(
         name=name,
         title=f"Send a goal: {noun}",
         description=(
             f"{targets.describe()} Sends the goal, reports feedback as progress and returns the result; cancelling the "
             "call, its timeout or emergency_stop cancels the goal. A goal that does not succeed is an error."
         ),
-        input_schema=object_schema(properties, required),
-        output_schema=goal_schema(targets),
+        arguments=Derived(
+            model=SendGoal, properties=properties, required=_required(targets, "goal", interface.goal.fields)
+        ),
+        result=goal_model(targets),
         handler=sending,
+        open_world=True,
     )
 
 
-def _required(targets: Targets, name: str) -> list[str]:
-    needed = name == "steps" or bool(targets.first.message.fields)
-    return [*targets.arguments, *([name] if needed else [])]
+def _required(targets: Targets, name: str, fields: Collection[object]) -> list[str]:
+    return [*targets.arguments, *([name] if fields else [])]

@@ -29,7 +29,7 @@ from roboneuron.modules.plugin import load_profile
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.tool import DerivedTool, Tool
+from roboneuron.server.tool import Tool
 
 log = logging.getLogger(__name__)
 _END_S = 2.0
@@ -133,7 +133,7 @@ class RosTools(Feature[RosToolsOptions]):
             who=admin.who, role=admin.role, tool=admin.tool, arguments=admin.arguments, verdict="allowed"
         )
         before = (self._added, self._hidden)
-        tools = {tool.name: (tool.input_schema, tool.description) for tool in self._host.tools.derived(FEATURE.name)}
+        tools = {tool.name: (tool.input_schema(), tool.description) for tool in self._host.tools.derived(FEATURE.name)}
         self._added, self._hidden = added, hidden
         try:
             configured = self._configured()
@@ -144,7 +144,7 @@ class RosTools(Feature[RosToolsOptions]):
             with suppress(RefusedError):
                 self._host.audit.write(replace(record, verdict="refused", reason=error.message[:500]))
             raise
-        now = {tool.name: (tool.input_schema, tool.description) for tool in self._host.tools.derived(FEATURE.name)}
+        now = {tool.name: (tool.input_schema(), tool.description) for tool in self._host.tools.derived(FEATURE.name)}
         return ExposureChange(
             added=sorted(now.keys() - tools.keys()),
             removed=sorted(tools.keys() - now.keys()),
@@ -174,7 +174,7 @@ class RosTools(Feature[RosToolsOptions]):
             self.exposed = Exposure(endpoints=endpoints, nodes=configured.nodes)
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
-    def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[DerivedTool]:
+    def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[Tool[Any]]:
         gate = self._host.gate
         settings = parameter_tools(configured.nodes, gate)
         names = {*self._host.tools.names(besides=FEATURE.name), *taken, *(tool.name for tool in settings)}
@@ -184,7 +184,7 @@ class RosTools(Feature[RosToolsOptions]):
         unlisted = [replace(tool, listed=False) for tool in derived]
         return [*settings, *directory_tools(self._searched), *unlisted]
 
-    def _searched(self) -> dict[str, DerivedTool]:
+    def _searched(self) -> dict[str, Tool[Any]]:
         return {tool.name: tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY}
 
     def _profile(self, robot: str) -> RobotProfile | None:

@@ -3,25 +3,67 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
+
+from pydantic import Field
 
 from rn_tools_ros.parameter_nodes import ParameterNode
 from rn_tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
-from rn_tools_ros.service import TIMEOUT
 from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.interfaces import Plain, load_interface, load_message
-from roboneuron.server.arguments import check_names, take_choice, take_flag, take_list, take_object
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.motion.services import Response
 from roboneuron.server.motion.topic_limits import SET_PARAMETERS
-from roboneuron.server.tool import Answer, CallContext, Stage
+from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 MOST = 100
 """Most parameters of one call."""
+
+
+class ListParameters(Arguments):
+    """Arguments of list_parameters."""
+
+    node: str = Field(description="Which node.")
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds.")
+
+
+class NamedParameters(ListParameters):
+    """Arguments of describe_parameters and get_parameters."""
+
+    names: list[str] = Field(min_length=1, max_length=MOST, description="Which ones.")
+
+
+class SetParameters(ListParameters):
+    """Arguments of set_parameters."""
+
+    parameters: dict[str, Any] = Field(min_length=1, max_length=MOST, description="Value by name.")
+    dry_run: bool = Field(default=False, description="Only answer what would happen.")
+
+
+class ParameterNames(Result):
+    """Names of a node's exposed parameters."""
+
+    node: str
+    names: list[str]
+
+
+class Parameters(Result):
+    """Values, or descriptions, by name."""
+
+    node: str
+    parameters: dict[str, Any]
+
+
+class Setting(Parameters):
+    """The values after it; the present ones after a dry run."""
+
+    dry_run: bool
+    allowed: bool
+    reason: str
 
 
 def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
@@ -57,21 +99,19 @@ class ParameterCalls:
         self._entries = {e.label: e for e in parameter_endpoints(nodes)}
         self._gate = gate
 
-    async def list(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def list(self, arguments: ListParameters, context: CallContext) -> ParameterNames:
         """Names."""
-        from rcl_interfaces.srv import ListParameters  # heavy
+        from rcl_interfaces.srv import ListParameters as Listing  # heavy
 
-        node = self._read("list_parameters", arguments, ["node", "timeout_s"], context)
-        response = await self._ask(
-            context, node, "list_parameters", ListParameters, ListParameters.Request(), arguments
-        )
-        return Answer(structured={"node": node.name, "names": sorted(node.names & {*response.result.names})})
+        node = self._read("list_parameters", arguments, context)
+        response = await self._ask(context, node, "list_parameters", Listing, Listing.Request(), arguments)
+        return ParameterNames(node=node.name, names=sorted(node.names & {*response.result.names}))
 
-    async def describe(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def describe(self, arguments: NamedParameters, context: CallContext) -> Parameters:
         """Descriptors."""
         from rcl_interfaces.srv import DescribeParameters  # heavy
 
-        node = self._read("describe_parameters", arguments, ["node", "names", "timeout_s"], context)
+        node = self._read("describe_parameters", arguments, context)
         names = _names(node, arguments)
         request = DescribeParameters.Request(names=names)
         response = await self._ask(context, node, "describe_parameters", DescribeParameters, request, arguments)
@@ -80,62 +120,60 @@ class ParameterCalls:
             d.name: {**part.decode(d), "type": TYPE_WORDS[d.type] if d.type < len(TYPE_WORDS) else "unknown"}
             for d in response.descriptors
         }
-        return Answer(structured={"node": node.name, "parameters": found})
+        return Parameters(node=node.name, parameters=found)
 
-    async def get(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def get(self, arguments: NamedParameters, context: CallContext) -> Parameters:
         """Values."""
-        node = self._read("get_parameters", arguments, ["node", "names", "timeout_s"], context)
+        node = self._read("get_parameters", arguments, context)
         names = _names(node, arguments)
         values = await self._values(context, node, names, arguments)
-        return Answer(structured={"node": node.name, "parameters": {n: v for n, (_, v) in values.items()}})
+        return Parameters(node=node.name, parameters={n: v for n, (_, v) in values.items()})
 
-    async def set(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def set(self, arguments: SetParameters, context: CallContext) -> Setting:
         """Set after the gate; raises RefusedError when the node does not accept one."""
         from rcl_interfaces.msg import Parameter  # heavy
-        from rcl_interfaces.srv import SetParameters  # heavy
+        from rcl_interfaces.srv import SetParameters as Setter  # heavy
 
-        check_names(arguments, ["node", "parameters", "timeout_s", "dry_run"])
-        node = self._nodes[take_choice(arguments, "node", list(self._nodes))]
-        wanted = take_object(arguments, "parameters", required=True)
-        if not 1 <= len(wanted) <= MOST:
-            raise InvalidInputError(f"parameters holds {len(wanted)} values, allowed is 1 to {MOST}.")
-        dry_run = take_flag(arguments, "dry_run")
+        node, wanted = self._nodes[arguments.node], arguments.parameters
         for name, value in wanted.items():
             check_bounds(node, name, value)
         present = await self._values(context, node, list(wanted), arguments)
         entries = [Parameter(name=n, value=to_value(n, present[n][0], v)) for n, v in wanted.items()]
-        request = SetParameters.Request(parameters=entries)
+        request = Setter.Request(parameters=entries)
         gate_entry = self._entries[f"{node.name}_set_parameters"]
-        asked = gate_request(context, "set_parameters", gate_entry, [request], arguments, dry_run=dry_run)
-        timeout_s, halt = TIMEOUT.take("timeout_s", arguments), threading.Event()
+        asked = gate_request(
+            context, "set_parameters", gate_entry, [request], arguments.given(), dry_run=arguments.dry_run
+        )
+        halt = threading.Event()
 
         def work(_: Stage) -> Response:
-            return self._gate.call(gate_entry, asked, timeout_s=timeout_s, halt=halt)
+            return self._gate.call(gate_entry, asked, timeout_s=arguments.timeout_s, halt=halt)
 
         done = await context.run(work, on_cancel=halt.set)
         verdict, response = done.verdict, done.message
-        answer: dict[str, Any] = {"node": node.name, "dry_run": verdict.dry_run, "allowed": verdict.allowed,
-                                  "reason": verdict.reason}  # fmt: skip
+
+        def setting(values: dict[str, tuple[int, Plain]]) -> Setting:
+            return Setting(
+                node=node.name, dry_run=verdict.dry_run, allowed=verdict.allowed, reason=verdict.reason,
+                parameters={n: v for n, (_, v) in values.items()},
+            )  # fmt: skip
+
         if not verdict.may_send:
-            return Answer(structured={**answer, "parameters": {n: v for n, (_, v) in present.items()}})
+            return setting(present)
         refused = [f"{e.name}: {r.reason or 'no reason given'}"
                    for e, r in zip(entries, response.results, strict=False) if not r.successful]  # fmt: skip
         if refused or len(response.results) != len(entries):
             raise RefusedError(f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}.")
-        values = await self._values(context, node, list(wanted), arguments)
-        return Answer(structured={**answer, "parameters": {n: v for n, (_, v) in values.items()}})
+        return setting(await self._values(context, node, list(wanted), arguments))
 
-    def _read(
-        self, tool: str, arguments: Mapping[str, Any], known: Sequence[str], context: CallContext
-    ) -> ParameterNode:
-        check_names(arguments, known)
-        node = self._nodes[take_choice(arguments, "node", list(self._nodes))]
+    def _read(self, tool: str, arguments: ListParameters, context: CallContext) -> ParameterNode:
+        node = self._nodes[arguments.node]
         entry = self._entries[f"{node.name}_get_parameters"]
-        self._gate.check(gate_request(context, tool, entry, (), arguments))
+        self._gate.check(gate_request(context, tool, entry, (), arguments.given()))
         return node
 
     async def _values(
-        self, context: CallContext, node: ParameterNode, names: Sequence[str], arguments: Mapping[str, Any]
+        self, context: CallContext, node: ParameterNode, names: Sequence[str], arguments: ListParameters
     ) -> dict[str, tuple[int, Plain]]:
         """Type and value of each. Raises InvalidInputError for a parameter that the node does not have."""
         from rcl_interfaces.srv import GetParameters  # heavy
@@ -152,19 +190,19 @@ class ParameterCalls:
 
     async def _ask(
         self, context: CallContext, node: ParameterNode, end: str, ros_type: Any, request: Any,
-        arguments: Mapping[str, Any],
+        arguments: ListParameters,
     ) -> Any:  # fmt: skip
-        timeout_s = TIMEOUT.take("timeout_s", arguments)
         halt = threading.Event()
 
         def work(_: Stage) -> Any:
-            return self._gate.read_parameters(ros_type, f"{node.node}/{end}", request, timeout_s=timeout_s, halt=halt)
+            return self._gate.read_parameters(
+                ros_type, f"{node.node}/{end}", request, timeout_s=arguments.timeout_s, halt=halt
+            )
 
         return await context.run(work, on_cancel=halt.set)
 
 
-def _names(node: ParameterNode, arguments: Mapping[str, Any]) -> Sequence[str]:
-    names = take_list(arguments, "names", MOST)
-    for name in names:
+def _names(node: ParameterNode, arguments: NamedParameters) -> Sequence[str]:
+    for name in arguments.names:
         check_exposed(node, name)
-    return names
+    return arguments.names

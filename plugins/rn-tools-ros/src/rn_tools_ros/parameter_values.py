@@ -8,7 +8,6 @@ from rn_tools_ros.parameter_nodes import ParameterNode, check_parameter_name
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.interfaces import Plain, load_message
 from roboneuron.interfaces.refusal import describe_value
-from roboneuron.server.arguments import take_text
 
 _FIELDS = {
     1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",
@@ -19,14 +18,13 @@ TYPE_WORDS = ("not set", "bool", "integer", "double", "string", "byte[]", "bool[
 """What types of parameters are called."""
 
 
-def check_exposed(node: ParameterNode, name: Any) -> None:
+def check_exposed(node: ParameterNode, text: str) -> None:
     """Raise unless agents may use this parameter of the node.
 
     Raises:
         InvalidInputError: this cannot be a parameter's name.
         RefusedError: it is not exposed.
     """
-    text = take_text({"parameters": name}, "parameters")
     try:
         check_parameter_name(text)
     except ConfigurationError as error:

@@ -3,85 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from rn_tools_ros.parameter_calls import MOST, ParameterCalls
+from rn_tools_ros.parameter_calls import (
+    ListParameters,
+    NamedParameters,
+    ParameterCalls,
+    ParameterNames,
+    Parameters,
+    SetParameters,
+    Setting,
+)
 from rn_tools_ros.parameter_nodes import ParameterNode
-from rn_tools_ros.service import TIMEOUT
-from roboneuron.server.arguments import Schema, choice, object_schema
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.tool import DerivedTool
+from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.tool import Tool
 
 
-def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[DerivedTool]:
+def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool[Any]]:
     """The four tools; none without an exposed node."""
     if not nodes:
         return []
     calls = ParameterCalls(nodes, gate)
-    text = choice("Which node.", [node.name for node in nodes])
-    names: Schema = {
-        "type": "array", "items": {"type": "string"}, "minItems": 1, "maxItems": MOST, "description": "Which ones."
-    }  # fmt: skip
+    node: Schema = {"enum": [node.name for node in nodes]}
     value: Schema = {
         "description": "A boolean, number or text, or a list of such.",
         "type": ["boolean", "number", "string", "array"],
         "items": {"type": ["boolean", "number", "string"]},
     }
+    named = Derived(
+        model=NamedParameters, properties={"node": node, "names": {}, "timeout_s": {}}, required=["node", "names"]
+    )
     limits = "; ".join(
-        f"{node.name}: " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in node.bounds.items())
-        for node in nodes
-        if node.bounds
+        f"{each.name}: " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in each.bounds.items())
+        for each in nodes
+        if each.bounds
     )
-    values: Schema = {"type": "object", "additionalProperties": True}
-    told = object_schema({"node": {"type": "string"}, "parameters": values}, ["node", "parameters"])
-    listed = object_schema(
-        {"node": {"type": "string"}, "names": {"type": "array", "items": {"type": "string"}}}, ["node", "names"]
-    )
-    setting = object_schema(
-        {
-            "node": {"type": "string"},
-            "parameters": values,
-            "dry_run": {"type": "boolean"},
-            "allowed": {"type": "boolean"},
-            "reason": {"type": "string"},
-        },
-        ["node", "parameters", "dry_run", "allowed", "reason"],
-    )
-    wait = {"timeout_s": TIMEOUT.schema()}
     return [
-        DerivedTool(
+        Tool(
             name="list_parameters", title="List parameters", description="Names of the exposed parameters of a node.",
-            input_schema=object_schema({"node": text, **wait}, ["node"]), output_schema=listed,
-            handler=calls.list, read_only=True, idempotent=True,
+            arguments=Derived(model=ListParameters, properties={"node": node, "timeout_s": {}}, required=["node"]),
+            result=ParameterNames, handler=calls.list, read_only=True, idempotent=True, open_world=True,
         ),
-        DerivedTool(
+        Tool(
             name="describe_parameters", title="Describe parameters",
             description="Type, description, range and constraints of parameters of an exposed node.",
-            input_schema=object_schema({"node": text, "names": names, **wait}, ["node", "names"]), output_schema=told,
-            handler=calls.describe, read_only=True, idempotent=True,
+            arguments=named, result=Parameters, handler=calls.describe, read_only=True, idempotent=True,
+            open_world=True,
         ),
-        DerivedTool(
+        Tool(
             name="get_parameters", title="Get parameters", description="Present values of parameters of a node.",
-            input_schema=object_schema({"node": text, "names": names, **wait}, ["node", "names"]), output_schema=told,
-            handler=calls.get, read_only=True, idempotent=True,
+            arguments=named, result=Parameters, handler=calls.get, read_only=True, idempotent=True, open_world=True,
         ),
-        DerivedTool(
+        Tool(
             name="set_parameters", title="Set parameters",
             description=(
                 "Set parameters of an exposed node; a value is converted to the parameter's own type. All must be "
                 f"accepted.{f' Limits: {limits}.' if limits else ''}"
             ),
-            input_schema=object_schema(
-                {
-                    "node": text,
-                    "parameters": {
-                        "type": "object", "additionalProperties": value, "minProperties": 1, "maxProperties": MOST,
-                        "description": "Value by name.",
-                    },
-                    **wait,
-                    "dry_run": {"type": "boolean", "default": False, "description": "Only answer what would happen."},
+            arguments=Derived(
+                model=SetParameters,
+                properties={
+                    "node": node, "parameters": {"additionalProperties": value}, "timeout_s": {}, "dry_run": {},
                 },
-                ["node", "parameters"],
+                required=["node", "parameters"],
             ),
-            output_schema=setting, handler=calls.set, idempotent=True,
+            result=Setting, handler=calls.set, idempotent=True, open_world=True,
         ),
     ]  # fmt: skip

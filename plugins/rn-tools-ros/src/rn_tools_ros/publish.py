@@ -8,17 +8,16 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, encode_argument, verdict_fields
+from rn_tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.arguments import Number, check_names, take_flag
 from roboneuron.server.motion.delivery import Step
 from roboneuron.server.motion.ending import Sent
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.joint_commands import duration_s as trajectory_s
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.tool import Answer, CallContext, Result, Stage
+from roboneuron.server.tool import CallContext, Result, Stage
 
 
 class ClampedValue(Result):
@@ -29,7 +28,7 @@ class ClampedValue(Result):
     sent: float
 
 
-class Delivery(Result):
+class Delivery(Judged):
     """What was sent, to how many; or, in a dry run, what would happen."""
 
     robot: str
@@ -40,18 +39,15 @@ class Delivery(Result):
     duration_s: float = Field(description="how long it took")
     stopped: bool = Field(description="a message that stops was sent at the end")
     clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
-    dry_run: bool = Field(description="it was only a question; nothing was sent")
-    allowed: bool
-    rule: str = Field(description="dry run: the rule that would refuse")
-    reason: str = Field(description="dry run: why")
 
 
-def duration_argument(gate: MotionGate) -> Number:
-    """How long a value lasts."""
-    return Number(
-        text="How long it lasts, in seconds; then it is stopped. Joints get there within it.",
-        low=0.0, high=gate.max_duration_s, default=1.0, above=True,
-    )  # fmt: skip
+class Publish(PublishingCall):
+    """Arguments of a publish tool."""
+
+    message: Value = Field(default_factory=dict)
+    duration_s: float = Field(
+        default=1.0, gt=0, description="How long it lasts, in seconds; then it is stopped. Joints get there within it."
+    )
 
 
 class Publishing:
@@ -61,18 +57,11 @@ class Publishing:
         self._gate = gate
         self._targets = targets
         self._tool = tool
-        self._duration = duration_argument(gate)
-        lasting = targets.lasting
-        self._names = [*targets.arguments, "message", *(["duration_s"] if lasting else []), "timeout_s", "dry_run"]
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
-        check_names(arguments, self._names)
-        exposed = self._targets.take(arguments)
-        timeout_s = SUBSCRIBER_TIMEOUT.take("timeout_s", arguments)
-        dry_run = take_flag(arguments, "dry_run")
-        duration_s = self._duration.take("duration_s", arguments) if self._targets.lasting else 0.0
-        step = encode_step(exposed, arguments, "message", duration_s)
+        exposed = self._targets.of(arguments.robot)
+        step = encode_step(exposed, arguments.message, arguments.duration_s if self._targets.lasting else 0.0)
         if self._targets.trajectory:
             step.duration_s = trajectory_s(step.message)
             if step.duration_s > self._gate.max_duration_s:
@@ -81,26 +70,26 @@ class Publishing:
                     path="message.points",
                 )
         request = gate_request(
-            context, self._tool, exposed, [step.message], arguments,
+            context, self._tool, exposed, [step.message], arguments.given(),
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
-            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=dry_run,
+            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=arguments.dry_run,
         )  # fmt: skip
         if not step.duration_s:
             sent = self._gate.publish_now(exposed, request)
             if sent is not None:
-                return to_answer(exposed, sent)
+                return to_delivery(exposed, sent)
         halt = threading.Event()
 
         def work(stage: Stage) -> Sent:
-            return self._gate.publish(exposed, request, [step], timeout_s=timeout_s, stage=stage, halt=halt)
+            return self._gate.publish(exposed, request, [step], timeout_s=arguments.timeout_s, stage=stage, halt=halt)
 
-        return to_answer(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
+        return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
 
-def encode_step(exposed: Exposed, arguments: Mapping[str, Any], name: str, duration_s: float) -> Step:
+def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -> Step:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
-    message = encode_argument(exposed.message, arguments, name)
-    return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, arguments.get(name) or {}))
+    message = encode_argument(exposed.message, value, "message")
+    return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
 
 
 def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
@@ -111,18 +100,16 @@ def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
     return not (isinstance(header, Mapping) and header.get("stamp") is not None)
 
 
-def to_answer(exposed: Exposed, sent: Sent) -> Answer:
-    """A `Delivery`, without the time that a model takes: a message may be sent a thousand times a second."""
-    return Answer(
-        structured={
-            "robot": exposed.robot,
-            "topic": exposed.topic,
-            "type": exposed.endpoint.type,
-            "sent": sent.messages,
-            "subscribers": sent.subscribers,
-            "duration_s": round(sent.duration_s, 6),
-            "stopped": sent.stopped,
-            "clamped": [{"path": c.path, "asked": c.asked, "sent": c.sent} for c in sent.verdict.clamped],
-            **verdict_fields(sent.verdict),
-        }
+def to_delivery(exposed: Exposed, sent: Sent) -> Delivery:
+    """What was sent."""
+    return Delivery(
+        robot=exposed.robot,
+        topic=exposed.topic,
+        type=exposed.endpoint.type,
+        sent=sent.messages,
+        subscribers=sent.subscribers,
+        duration_s=round(sent.duration_s, 6),
+        stopped=sent.stopped,
+        clamped=[ClampedValue(path=c.path, asked=c.asked, sent=c.sent) for c in sent.verdict.clamped],
+        **verdict_fields(sent.verdict),
     )

@@ -4,37 +4,50 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
 from typing import Any
 
+from pydantic import Field
+
+from rn_tools_ros.calls import RobotCall, Value
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.tool import Answer, CallContext, Picture
+from roboneuron.server.schema import Derived
+from roboneuron.server.tool import CallContext, Picture, Reply, Result
 
-COUNT = Number(text="How many messages to wait for.", low=1, high=100, default=1, integer=True)
-TIMEOUT = Number(text="How long to wait, in seconds.", low=0.0, high=60.0, default=5.0, above=True)
 _PICTURES = 4
 
 
-def reading_schema(targets: Targets) -> Schema:
-    """The output schema."""
-    message = decoded_schema(targets.first.message)
-    properties: dict[str, Schema] = {
-        "robot": {"type": "string"},
-        "topic": {"type": "string"},
-        "type": {"type": "string"},
-        "messages": {"type": "array", "items": message, "description": "oldest first"},
-        "complete": {"type": "boolean", "description": "as many came as were asked for"},
-        "publishers": {"type": "integer", "description": "how many publish the topic"},
-        "age_s": {"type": "number", "description": "since the last one arrived"},
-        "note": {"type": "string"},
-    }
-    return object_schema(properties, list(properties))
+class Read(RobotCall):
+    """Arguments of a read tool."""
+
+    count: int = Field(default=1, ge=1, le=100, description="How many messages to wait for.")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait, in seconds.")
+
+
+class Messages(Result):
+    """What came."""
+
+    robot: str
+    topic: str
+    type: str
+    messages: list[Value] = Field(description="oldest first")
+    complete: bool = Field(description="as many came as were asked for")
+    publishers: int = Field(description="how many publish the topic")
+    age_s: float = Field(description="since the last one arrived")
+    note: str
+
+
+def messages_model(targets: Targets) -> Derived[Messages]:
+    """The result, with the schema of the decoded messages."""
+    own: dict[str, dict[str, Any]] = {name: {} for name in Messages.model_fields}
+    return Derived(
+        model=Messages, properties=own | {"messages": {"items": decoded_schema(targets.first.message)}},
+        required=list(own),
+    )  # fmt: skip
 
 
 class Reading:
@@ -44,18 +57,17 @@ class Reading:
         self._gate = gate
         self._targets = targets
         self._tool = tool
-        self._names = [*targets.arguments, "count", "timeout_s"]
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: Read, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
-        check_names(arguments, self._names)
-        exposed = self._targets.take(arguments)
-        count, timeout_s = int(COUNT.take("count", arguments)), TIMEOUT.take("timeout_s", arguments)
-        self._gate.check(gate_request(context, self._tool, exposed, (), arguments))
+        exposed = self._targets.of(arguments.robot)
+        self._gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
-        return await context.run(lambda _: self._read(exposed, count, timeout_s, halt), on_cancel=halt.set)
+        return await context.run(
+            lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt), on_cancel=halt.set
+        )
 
-    def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Answer:
+    def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
         part = exposed.message
         got = self._gate.read(exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
@@ -67,19 +79,17 @@ class Reading:
         age_s = time.monotonic() - got.messages[-1][0]
         messages = [message for _, message in got.messages]
         pictures, note = _pictures(exposed, messages[-_PICTURES:])
-        return Answer(
-            structured={
-                "robot": exposed.robot,
-                "topic": exposed.topic,
-                "type": exposed.endpoint.type,
-                "messages": [part.decode(message) for message in messages],
-                "complete": len(messages) == count,
-                "publishers": got.publishers,
-                "age_s": round(age_s, 4),
-                "note": note,
-            },
-            pictures=pictures,
+        told = Messages(
+            robot=exposed.robot,
+            topic=exposed.topic,
+            type=exposed.endpoint.type,
+            messages=[part.decode(message) for message in messages],
+            complete=len(messages) == count,
+            publishers=got.publishers,
+            age_s=round(age_s, 4),
+            note=note,
         )
+        return Reply(result=told, pictures=pictures)
 
 
 def _pictures(exposed: Exposed, messages: list[Any]) -> tuple[tuple[Picture, ...], str]:

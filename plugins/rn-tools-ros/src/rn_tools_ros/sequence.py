@@ -4,24 +4,37 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Mapping
-from typing import Any
+from typing import Annotated
 
-from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
-from rn_tools_ros.publish import encode_step, to_answer
+from pydantic import Field
+
+from rn_tools_ros.calls import PublishingCall, Value
+from rn_tools_ros.publish import Delivery, encode_step, to_delivery
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.arguments import Number, check_names, inside, take_flag, take_list
 from roboneuron.server.motion.delivery import Step
 from roboneuron.server.motion.ending import Sent
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.joint_commands import duration_s
 from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.tool import Answer, CallContext, Stage
+from roboneuron.server.tool import Arguments, CallContext, Stage
 
 MAX_STEPS = 500
-TIMES = Number(text="How often the whole sequence is played.", low=1, high=1000, default=1, integer=True)
+
+
+class SequenceStep(Arguments):
+    """One message, and how long it lasts."""
+
+    message: Value = Field(default_factory=dict)
+    duration_s: float | None = Field(default=None, gt=0, description="How long this step lasts, in seconds.")
+
+
+class PublishSequence(PublishingCall):
+    """Arguments of a sequence tool."""
+
+    steps: Annotated[list[SequenceStep], Field(min_length=1, max_length=MAX_STEPS)]
+    times: int = Field(default=1, ge=1, le=1000, description="How often the whole sequence is played.")
 
 
 class Sequencing:
@@ -31,20 +44,12 @@ class Sequencing:
         self._gate = gate
         self._targets = targets
         self._tool = tool
-        self.duration = Number(
-            text="How long this step lasts, in seconds.", low=0.0, high=gate.max_duration_s, above=True
-        )
-        self._names = [*targets.arguments, "steps", "times", "timeout_s", "dry_run"]
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: PublishSequence, context: CallContext) -> Delivery:
         """Raises as `MotionGate.play`, and InvalidInputError with the number of the step."""
-        check_names(arguments, self._names)
-        exposed = self._targets.take(arguments)
-        timeout_s = SUBSCRIBER_TIMEOUT.take("timeout_s", arguments)
-        dry_run = take_flag(arguments, "dry_run")
-        times = int(TIMES.take("times", arguments))
-        entries = take_list(arguments, "steps", MAX_STEPS)
-        steps = [self._step(exposed, entry, index) for index, entry in enumerate(entries)]
+        exposed = self._targets.of(arguments.robot)
+        times = arguments.times
+        steps = [self._step(exposed, entry, index) for index, entry in enumerate(arguments.steps)]
         total_s = times * sum(step.duration_s for step in steps)
         if total_s > self._gate.max_duration_s:
             raise InvalidInputError(
@@ -56,28 +61,37 @@ class Sequencing:
         starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
         joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
         request = gate_request(
-            context, self._tool, exposed, [step.message for step in (played if joint_limited else steps)], arguments,
+            context, self._tool, exposed, [step.message for step in (played if joint_limited else steps)],
+            arguments.given(),
             joints=self._gate.newest_joints(exposed) if joint_limited else None,
             durations_s=[step.duration_s for step in played] if joint_limited else [], send_at_s=starts_s,
-            dry_run=dry_run,
+            dry_run=arguments.dry_run,
         )  # fmt: skip
         halt = threading.Event()
 
         def work(stage: Stage) -> Sent:
-            return self._gate.publish(exposed, request, played, timeout_s=timeout_s, stage=stage, halt=halt)
+            return self._gate.publish(exposed, request, played, timeout_s=arguments.timeout_s, stage=stage, halt=halt)
 
-        return to_answer(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
+        return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
-    def _step(self, exposed: Exposed, entry: Any, index: int) -> Step:
-        where = f"steps[{index}]"
-        if not isinstance(entry, Mapping):
-            raise InvalidInputError(f"{where} is not an object with `message` and `duration_s`.", path=where)
+    def _step(self, exposed: Exposed, entry: SequenceStep, index: int) -> Step:
         try:
-            check_names(entry, ["message", "duration_s"])
-            if self._targets.trajectory and entry.get("duration_s") is None:
-                step = encode_step(exposed, entry, "message", 0.0)
+            if exposed.message.fields and "message" not in entry.model_fields_set:
+                raise InvalidInputError("Argument 'message' is missing.", path="message")
+            if self._targets.trajectory and entry.duration_s is None:
+                step = encode_step(exposed, entry.message, 0.0)
                 step.duration_s = duration_s(step.message)
                 return step
-            return encode_step(exposed, entry, "message", self.duration.take("duration_s", entry))
+            if entry.duration_s is None:
+                raise InvalidInputError("Argument 'duration_s' is missing.", path="duration_s")
+            most_s = self._gate.max_duration_s
+            if entry.duration_s > most_s:
+                raise InvalidInputError(
+                    f"Argument 'duration_s' is {entry.duration_s:g}, expected up to {most_s:g}.", path="duration_s"
+                )
+            return encode_step(exposed, entry.message, entry.duration_s)
         except InvalidInputError as error:
-            raise inside(error, where) from error
+            where = f"steps[{index}]"
+            raise InvalidInputError(
+                f"{where}: {error.message}", hint=error.hint, path=f"{where}.{error.path}" if error.path else where
+            ) from error

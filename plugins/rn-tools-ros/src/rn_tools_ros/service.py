@@ -3,35 +3,45 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from typing import Any
 
-from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
+from pydantic import Field
+
+from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.interfaces import ServiceInterface
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.motion.services import Response
-from roboneuron.server.tool import Answer, CallContext, Stage
+from roboneuron.server.schema import Derived
+from roboneuron.server.tool import CallContext, Stage
 
-TIMEOUT = Number(text="How long to wait for the answer, in seconds.", low=0.0, high=300.0, default=10.0, above=True)
+
+class CallService(SendingCall):
+    """Arguments of a service tool."""
+
+    request: Value = Field(default_factory=dict)
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds.")
 
 
-def service_schema(targets: Targets) -> Schema:
-    """The output schema; a dry run has no response."""
+class Served(Judged):
+    """What the service answered; nothing in a dry run."""
+
+    robot: str
+    service: str
+    type: str
+    response: Value = Field(default_factory=dict)
+    took_s: float
+
+
+def served_model(targets: Targets) -> Derived[Served]:
+    """The result, with the schema of the response; a dry run has none."""
     interface = targets.first.interface
     assert isinstance(interface, ServiceInterface)
-    properties: dict[str, Schema] = {
-        "robot": {"type": "string"},
-        "service": {"type": "string"},
-        "type": {"type": "string"},
-        "response": decoded_schema(interface.response),
-        "took_s": {"type": "number"},
-        **VERDICT,
-    }
-    return object_schema(properties, [name for name in properties if name != "response"])
+    own: dict[str, dict[str, Any]] = {name: {} for name in Served.model_fields}
+    required = [name for name in own if name != "response"]
+    return Derived(model=Served, properties=own | {"response": decoded_schema(interface.response)}, required=required)
 
 
 class Calling:
@@ -41,31 +51,30 @@ class Calling:
         self._gate = gate
         self._targets = targets
         self._tool = tool
-        self._names = [*targets.arguments, "request", "timeout_s", "dry_run"]
 
-    async def __call__(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def __call__(self, arguments: CallService, context: CallContext) -> Served:
         """Raises InvalidInputError, RefusedError, NotReadyError."""
-        check_names(arguments, self._names)
-        exposed = self._targets.take(arguments)
+        exposed = self._targets.of(arguments.robot)
         interface = exposed.interface
         assert isinstance(interface, ServiceInterface)
-        timeout_s = TIMEOUT.take("timeout_s", arguments)
-        dry_run = take_flag(arguments, "dry_run")
-        message = encode_argument(interface.request, arguments, "request")
-        request = gate_request(context, self._tool, exposed, [message], arguments, dry_run=dry_run)
+        message = encode_argument(interface.request, arguments.request, "request")
+        request = gate_request(
+            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run
+        )  # fmt: skip
         halt = threading.Event()
 
         def work(_: Stage) -> Response:
-            return self._gate.call(exposed, request, timeout_s=timeout_s, halt=halt)
+            return self._gate.call(exposed, request, timeout_s=arguments.timeout_s, halt=halt)
 
         response = await context.run(work, on_cancel=halt.set)
-        structured: dict[str, Any] = {
-            "robot": exposed.robot,
-            "service": exposed.topic,
-            "type": exposed.endpoint.type,
-            "took_s": round(response.took_s, 6),
+        decoded: dict[str, Any] = (
+            {} if response.message is None else {"response": interface.response.decode(response.message)}
+        )
+        return Served(
+            robot=exposed.robot,
+            service=exposed.topic,
+            type=exposed.endpoint.type,
+            took_s=round(response.took_s, 6),
             **verdict_fields(response.verdict),
-        }
-        if response.message is not None:
-            structured["response"] = interface.response.decode(response.message)
-        return Answer(structured=structured)
+            **decoded,
+        )

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from roboneuron.server.arguments import Schema, choice, take_choice
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.joint_commands import TRAJECTORY
+from roboneuron.server.schema import Schema
 
 
 class Targets:
@@ -43,13 +42,11 @@ class Targets:
         """The properties that choose."""
         if len(self.endpoints) == 1:
             return {}
-        return {"robot": choice("Which robot.", list(self._by_robot))}
+        return {"robot": {"enum": list(self._by_robot)}}
 
-    def take(self, arguments: Mapping[str, Any]) -> Exposed:
-        """The endpoint that a call is about. Raises InvalidInputError for an unknown robot."""
-        if len(self.endpoints) == 1:
-            return self.first
-        return self._by_robot[take_choice(arguments, "robot", list(self._by_robot))]
+    def of(self, robot: str) -> Exposed:
+        """The endpoint that a call is about; of the only robot when there is one."""
+        return self.first if len(self.endpoints) == 1 else self._by_robot[robot]
 
     def describe(self) -> str:
         """What there is to know of each robot's endpoint: topic, limits, rate."""

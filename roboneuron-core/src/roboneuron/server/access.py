@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
-from roboneuron.server.tool import CallContext, DerivedTool, Tool
+from roboneuron.server.tool import CallContext, Tool
 
 HOLDER_KEY = "roboneuron.holder"
 """Where a transport of a feature leaves the Holder in the scope of a request."""
@@ -71,17 +71,17 @@ def watching(request: Any, listener: Callable[[], object] | None) -> AbstractCon
     return nullcontext() if listener is None or connection is None else connection.watched(listener)
 
 
-def least_role(tool: Tool[Any] | DerivedTool) -> str:
+def least_role(tool: Tool[Any]) -> str:
     """The least role that may call a tool."""
     return tool.role or (VIEWER if tool.read_only else OPERATOR)
 
 
-def may_call(role: str, tool: Tool[Any] | DerivedTool) -> bool:
+def may_call(role: str, tool: Tool[Any]) -> bool:
     """Whether a role may call a tool."""
     return has_role(role, least_role(tool))
 
 
-def check_role(tool: Tool[Any] | DerivedTool, context: CallContext) -> None:
+def check_role(tool: Tool[Any], context: CallContext) -> None:
     """Refuse a tool that the caller may not call.
 
     Raises:

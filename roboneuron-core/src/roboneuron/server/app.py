@@ -22,7 +22,6 @@ from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of, watching
 from roboneuron.server.asking import QuestionError, Questions
-from roboneuron.server.catalogue import catalogue_tools
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.emergency import SafetyReports
 from roboneuron.server.events import Events
@@ -167,7 +166,6 @@ class Application:
                 *observing_tools(self.loop, self.started_s),
                 *closed_loop_tools(self.loop),
                 *emergency_tools(self.loop),
-                *catalogue_tools(self.plugins),
             ],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,

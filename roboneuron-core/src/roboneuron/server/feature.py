@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from roboneuron.config import Config
     from roboneuron.server.host import Host
-    from roboneuron.server.tool import DerivedTool, Tool
+    from roboneuron.server.tool import Tool
 
 OptionsT = TypeVar("OptionsT")
 Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
@@ -59,7 +59,7 @@ class Feature(Generic[OptionsT]):
             ConfigurationError: the server would not work with it.
         """
 
-    def tools(self, host: Host) -> Sequence[Tool[Any] | DerivedTool]:
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """Tools for the agent. Called once, before clients are served; `host` may be kept."""
         return ()
 

@@ -1,4 +1,4 @@
-"""The tools by which the agent sees: the status of everything, and a camera's image."""
+"""The tool by which the agent sees the status of everything."""
 
 from __future__ import annotations
 
@@ -9,32 +9,10 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from pydantic import Field
-
 from roboneuron import __version__
-from roboneuron.server.images import Format, check_camera, encode, read_frame
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import StatusResult, module_status
-from roboneuron.server.tool import Arguments, CallContext, NoArguments, Reply, Result, Tool
-
-
-class GetCameraImage(Arguments):
-    """Arguments of get_camera_image."""
-
-    camera: str = Field(description="Which camera of the robot.")
-    format: Format = Field(default="jpeg", description="jpeg is small, png is exact.")
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for the next image, in seconds.")
-
-
-class CameraImage(Result):
-    """What is known of the image that comes beside this."""
-
-    camera: str
-    width_px: int
-    height_px: int
-    stamp_ns: int = Field(description="capture time, ROS clock")
-    age_ms: float = Field(description="time from its capture to this answer")
-    frame_id: str = Field(description="the camera's optical frame")
+from roboneuron.server.tool import CallContext, NoArguments, Tool
 
 
 @cache
@@ -64,13 +42,10 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
 
 
 def observing_tools(loop: ClosedLoop, started_s: float) -> list[Tool[Any]]:
-    """get_status and get_camera_image."""
+    """get_status."""
 
     async def get_status(_: NoArguments, context: CallContext) -> StatusResult:
         return status(loop, started_s)
-
-    async def get_camera_image(arguments: GetCameraImage, context: CallContext) -> Reply:
-        return await context.run(lambda _: _read_image(loop, arguments))
 
     return [
         Tool(
@@ -85,37 +60,4 @@ def observing_tools(loop: ClosedLoop, started_s: float) -> list[Tool[Any]]:
             read_only=True,
             idempotent=True,
         ),
-        Tool(
-            name="get_camera_image",
-            title="Look through a camera",
-            description="The next image of a camera, as an image. Needs perception to run.",
-            arguments=GetCameraImage,
-            result=CameraImage,
-            handler=get_camera_image,
-            read_only=True,
-            idempotent=True,
-            open_world=True,
-            choices={"camera": loop.camera_roles},
-        ),
     ]
-
-
-def _read_image(loop: ClosedLoop, arguments: GetCameraImage) -> Reply:
-    spec = loop.robot_spec()
-    check_camera(arguments.camera, [camera.name for camera in spec.cameras], spec.name)
-    view = loop.supervisor.view("perception")
-    hint = "Call start_perception first."
-    if view.phase == "running" and view.choice is not None:
-        hint = f"Perception runs with the cameras: {view.choice.names.get('cameras', 'none')}."
-    frame = read_frame(loop.supervisor.link, loop.config.namespace, arguments.camera, arguments.timeout_s, hint=hint)
-    picture = encode(frame, arguments.format)
-    height, width = frame.image.shape[:2]
-    facts = CameraImage(
-        camera=arguments.camera,
-        width_px=width,
-        height_px=height,
-        stamp_ns=frame.stamp_ns,
-        age_ms=round((time.time_ns() - frame.stamp_ns) / 1e6, 1),
-        frame_id=frame.frame_id,
-    )
-    return Reply(result=facts, pictures=(picture,))

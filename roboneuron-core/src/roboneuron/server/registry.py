@@ -12,20 +12,21 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
 from mcp import types
-from pydantic import ValidationError
 
 from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.gate.request import ADMIN
 from roboneuron.server.access import check_role, may_call
 from roboneuron.server.asking import QuestionError
-from roboneuron.server.schema import Schema, check_arguments, input_schema, listed_output, output_schema
-from roboneuron.server.tool import Answer, CallContext, DerivedTool, Reply, Tool
+from roboneuron.server.schema import listed_output
+from roboneuron.server.tool import Answer, CallContext, Tool
 
 log = logging.getLogger(__name__)
-Admission = Callable[[Tool[Any] | DerivedTool, CallContext], None]
+Admission = Callable[[Tool[Any], CallContext], None]
 """Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not block."""
 _MOST_TEXT = 2000
 """Characters of an error's text."""
+_FIXED = ""
+"""Owner of the tools that were added; the others are derived ones."""
 ERROR_META = "roboneuron/error"
 """Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the output schema)."""
 
@@ -55,10 +56,7 @@ class ToolRegistry:
         self._lock = threading.Lock()
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
-        self._tools: dict[str, Tool[Any]] = {}
-        self._output_schemas: dict[str, Schema] = {}
-        self._derived: dict[str, tuple[DerivedTool, types.Tool]] = {}
-        self._owners: dict[str, list[str]] = {}
+        self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
         for tool in tools:
             self.add(tool)
 
@@ -72,84 +70,72 @@ class ToolRegistry:
         Raises:
             InternalError: there is one of that name.
         """
-        if tool.name in self._tools or tool.name in self._derived:
-            raise InternalError(f"There are two tools called {tool.name!r}.")
-        self._tools[tool.name] = tool
-        self._output_schemas[tool.name] = output_schema(tool.result)
+        self.add_all([tool])
 
-    def add_all(self, tools: Iterable[Tool[Any] | DerivedTool]) -> None:
+    def add_all(self, tools: Iterable[Tool[Any]]) -> None:
         """Add all of them, or none.
 
         Raises:
             InternalError: there is one of a name already.
         """
-        added: list[str] = []
-        try:
-            for tool in tools:
-                if isinstance(tool, DerivedTool):
-                    raise InternalError(f"{tool.name!r} is a derived tool; those are added by `replace_derived`.")
-                self.add(tool)
-                added.append(tool.name)
-        except Exception:
-            for name in added:
-                self.remove(name)
-            raise
+        self._replace(_FIXED, [*(entry.tool for entry in self._owned[_FIXED].values()), *tools])
 
     def remove(self, name: str) -> None:
-        """Remove a tool; nothing happens when there is none."""
-        self._tools.pop(name, None)
-        self._output_schemas.pop(name, None)
+        """Remove a tool that was added; nothing happens when there is none."""
+        self._replace(_FIXED, [entry.tool for entry in self._owned[_FIXED].values() if entry.tool.name != name])
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
-        return frozenset((*self._tools, *self._derived)) - {*self._owners.get(besides, ())}
+        return frozenset(name for owner, entries in self._owned.items() if owner != besides for name in entries)
 
-    def derived(self, owner: str = "") -> list[DerivedTool]:
+    def derived(self, owner: str = "") -> list[Tool[Any]]:
         """The derived tools of an owner, or all of them; listed or not."""
-        names = self._owners.get(owner, ()) if owner else self._derived
-        return [self._derived[name][0] for name in names]
+        owners = [owner] if owner else [name for name in self._owned if name != _FIXED]
+        return [entry.tool for name in owners for entry in self._owned.get(name, {}).values()]
 
-    def replace_derived(self, owner: str, tools: Iterable[DerivedTool]) -> None:
+    def replace_derived(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         """Have these derived tools of an owner and no others of it; callable from any thread.
 
         Raises:
             InternalError: there is another tool of a name.
         """
-        described = [(tool, _described(tool, tool.input_schema, tool.output_schema)) for tool in tools]
-        with self._lock:
-            before = self._derived
-            made = {name: entry for name, entry in before.items() if name not in self._owners.get(owner, ())}
-            for tool, shown in described:
-                if tool.name in self._tools or tool.name in made:
-                    raise InternalError(f"There are two tools called {tool.name!r}.")
-                made[tool.name] = (tool, shown)
-            self._derived = made
-            self._owners[owner] = [tool.name for tool, _ in described]
-        if _listed(before) != _listed(made):
+        before = self._shown(owner)
+        self._replace(owner, tools)
+        if before != self._shown(owner):
             self._on_change()
 
     def listing(self, role: str = ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role: what they may call."""
-        listed = [shown for tool, shown in self._derived.values() if tool.listed and may_call(role, tool)]
         return [
-            *(
-                _described(tool, self._input_schema(tool), self._output_schemas[tool.name])
-                for tool in self._tools.values()
-                if may_call(role, tool)
-            ),
-            *listed,
+            entry.shown()
+            for entries in self._owned.values()
+            for entry in entries.values()
+            if entry.tool.listed and may_call(role, entry.tool)
         ]
 
-    def output_schema(self, name: str) -> Schema:
-        """The whole output schema of a tool that is not derived, with what its fields mean; for the documentation."""
-        return self._output_schemas[name]
+    def get(self, name: str) -> Tool[Any] | None:
+        """The tool of that name, listed or not."""
+        return next((entries[name].tool for entries in self._owned.values() if name in entries), None)
+
+    def _shown(self, owner: str) -> list[types.Tool]:
+        return [entry.shown() for entry in self._owned.get(owner, {}).values() if entry.tool.listed]
+
+    def _replace(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
+        with self._lock:
+            known = {name for other, entries in self._owned.items() if other != owner for name in entries}
+            entries: dict[str, _Entry] = {}
+            for tool in tools:
+                if tool.name in known or tool.name in entries:
+                    raise InternalError(f"There are two tools called {tool.name!r}.")
+                entries[tool.name] = _Entry(tool)
+            self._owned = {**self._owned, owner: entries}  # another thread may be reading the one before
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result. Raises QuestionError, which is none."""
         try:
             tool = self._find(name)
             check_role(tool, context)
-            if isinstance(tool, Tool) and tool.urgent is not None:
+            if tool.urgent is not None:
                 tool.urgent(arguments, context)
             if self._ready is not None:
                 await self._ready()
@@ -176,9 +162,7 @@ class ToolRegistry:
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 
-    async def _carry_out(
-        self, tool: Tool[Any] | DerivedTool, arguments: Mapping[str, Any], context: CallContext
-    ) -> Answer:
+    async def _carry_out(self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext) -> Answer:
         self._calls[context.role] += 1
         try:
             if self._calls[context.role] > self._most_calls and not tool.always:
@@ -188,46 +172,38 @@ class ToolRegistry:
                 )
             for admit in self._admissions:
                 admit(tool, context)
-            if isinstance(tool, DerivedTool):
-                return await tool.handler(arguments, context)
-            return await self._call_typed(tool, arguments, context)
+            return await tool.call(arguments, context)
         finally:
             self._calls[context.role] -= 1
 
-    def _find(self, name: str) -> Tool[Any] | DerivedTool:
-        derived = self._derived.get(name)
-        tool = derived[0] if derived is not None else self._tools.get(name)
+    def _find(self, name: str) -> Tool[Any]:
+        tool = self.get(name)
         if tool is None:
             raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
         return tool
 
-    async def _call_typed(self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        checked = check_arguments(self._input_schema(tool), arguments)
-        try:
-            typed = tool.arguments.model_validate(checked)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            path = ".".join(str(part) for part in first["loc"])
-            raise InvalidInputError(f"Argument {path!r}: {first['msg']}.", path=path) from error
-        outcome = await tool.handler(typed, context)
-        reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        return Answer(structured=reply.result.model_dump(mode="json"), pictures=reply.pictures)
 
-    def _input_schema(self, tool: Tool[Any]) -> Schema:
-        return input_schema(tool.arguments, {name: ask() for name, ask in tool.choices.items()})
+class _Entry:
+    """A tool, and how it is listed: described once, unless it has choices, which may change at any time."""
 
+    def __init__(self, tool: Tool[Any]) -> None:
+        self.tool = tool
+        self._described: types.Tool | None = None
 
-def _listed(derived: Mapping[str, tuple[DerivedTool, types.Tool]]) -> dict[str, types.Tool]:
-    return {name: shown for name, (tool, shown) in derived.items() if tool.listed}
+    def shown(self) -> types.Tool:
+        """As `tools/list` shows it."""
+        if self._described is None or self.tool.choices:
+            self._described = _described(self.tool)
+        return self._described
 
 
-def _described(tool: Tool[Any] | DerivedTool, input_schema: Schema, output_schema: Schema) -> types.Tool:
+def _described(tool: Tool[Any]) -> types.Tool:
     return types.Tool(
         name=tool.name,
         title=tool.title,
         description=tool.description,
-        input_schema=input_schema,
-        output_schema=listed_output(output_schema),
+        input_schema=tool.input_schema(),
+        output_schema=listed_output(tool.output_schema()),
         annotations=types.ToolAnnotations(
             read_only_hint=tool.read_only,
             destructive_hint=None if tool.read_only else tool.destructive,  # they mean nothing for what only reads

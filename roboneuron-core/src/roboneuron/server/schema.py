@@ -1,45 +1,82 @@
-"""JSON schemas as agents read them, and messages that say what is wrong with arguments."""
+"""JSON schemas of pydantic models as agents read them, and calls checked against the models."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any
+from functools import cache
+from typing import Any, Generic, TypeVar, get_args
 
-from jsonschema import Draft202012Validator
-from jsonschema.exceptions import ValidationError, best_match
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from roboneuron.errors import InvalidInputError
 
 Schema = dict[str, Any]
+M = TypeVar("M", bound=BaseModel)
+M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
 
-def input_schema(model: type[BaseModel], choices: Mapping[str, Mapping[str, str]]) -> Schema:
-    """The strict JSON schema of an argument model.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Derived(Generic[M_co]):
+    """A model whose JSON schema is known only at run time, such as from a ROS interface.
 
-    Args:
-        model: forbids unknown fields.
-        choices: argument name -> {allowed value: one-line summary}; becomes an enum, summaries go to the description.
+    Attributes:
+        model: what a call is parsed into, or what a tool returns.
+        properties: JSON schema of each field that is used, laid over the model's own; `enum` and `maximum` are checked.
+            Results leave out what their handler did not set.
+        required: names of the fields that must be given.
     """
-    schema: Schema = _plain(model.model_json_schema())
-    schema.setdefault("properties", {})
+
+    model: type[M_co]
+    properties: Mapping[str, Schema]
+    required: Sequence[str] = ()
+
+
+def model_schema(kind: type[BaseModel] | Derived[BaseModel], *, result: bool = False) -> Schema:
+    """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
+    if not isinstance(kind, Derived):
+        return _own_schema(kind, result)
+    own = _own_schema(kind.model, result)
+    definitions: Schema = {}
+    properties: dict[str, Schema] = {}
+    for name, part in kind.properties.items():
+        entry = {**own["properties"].get(name, {}), **part}
+        definitions |= entry.pop("$defs", {})
+        properties[name] = entry
+    used = repr(properties)
+    definitions |= {name: entry for name, entry in own.get("$defs", {}).items() if f"#/$defs/{name}'" in used}
+    schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    if kind.required:
+        schema["required"] = list(kind.required)
+    return {**schema, "$defs": definitions} if definitions else schema
+
+
+@cache
+def _own_schema(model: type[BaseModel], result: bool) -> Schema:
+    made = model.model_json_schema(mode="serialization" if result else "validation")
+    schema: Schema = _plain(made, keep_null=result)
+    return {**schema, "properties": schema.get("properties", {})}
+
+
+def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
+    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in the description."""
+    properties = dict(schema["properties"])
     for name, allowed in choices.items():
-        entry = schema["properties"][name]
-        target = entry["items"] if entry.get("type") == "array" else entry
+        entry = dict(properties[name])
         if allowed:
-            target["enum"] = list(allowed)
             listed = "; ".join(f"{value}: {summary}" if summary else value for value, summary in allowed.items())
             entry["description"] = f"{entry.get('description', '')} Choices: {listed}."
+            if entry.get("type") == "array":
+                entry["items"] = {**entry["items"], "enum": list(allowed)}
+            else:
+                entry["enum"] = list(allowed)
         else:
             entry["description"] = f"{entry.get('description', '')} Nothing is installed to choose from."
-    return schema
-
-
-def output_schema(model: type[BaseModel]) -> Schema:
-    """The JSON schema of a result model."""
-    schema: Schema = _plain(model.model_json_schema(mode="serialization"), keep_null=True)
-    return schema
+        properties[name] = entry
+    return {**schema, "properties": properties}
 
 
 def listed_output(schema: Schema) -> Schema:
@@ -63,7 +100,7 @@ def _listed_field(entry: Schema) -> Schema:
     return {"type": entry["type"]} if "type" in entry else {}
 
 
-def _plain(node: Any, *, keep_null: bool = False) -> Any:
+def _plain(node: Any, *, keep_null: bool) -> Any:
     """Drop generated titles and class docstrings; for inputs also the null alternative of optional arguments."""
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]
@@ -88,47 +125,92 @@ def _plain(node: Any, *, keep_null: bool = False) -> Any:
     return cleaned
 
 
-def check_arguments(schema: Schema, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments without omitted ones (null for what is optional counts as omitted).
+def parse(
+    kind: type[M] | Derived[M], arguments: Mapping[str, Any], choices: Mapping[str, Mapping[str, str]] | None = None
+) -> M:
+    """The arguments of a call as the model; null for what is optional counts as omitted.
 
     Raises:
-        InvalidInputError: they do not fit the schema; names which, what came and what is allowed.
+        InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    required = schema.get("required", ())
-    given = {k: v for k, v in arguments.items() if v is not None or k in required or k not in schema["properties"]}
-    error = best_match(Draft202012Validator(schema).iter_errors(given))
-    if error is not None:
-        raise _explain(error)
-    return given
+    model = kind.model if isinstance(kind, Derived) else kind
+    fields = model.model_fields
+    names = [*kind.properties] if isinstance(kind, Derived) else [*fields]
+    required = kind.required if isinstance(kind, Derived) else [n for n, field in fields.items() if field.is_required()]
+    for name in arguments:
+        if name not in names:
+            raise unknown_name("The call", name, names)
+    given = {name: value for name, value in arguments.items() if value is not None or name in required}
+    for name in required:
+        if name not in given:
+            raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
+    for name, value in given.items():  # to JSON, 1.0 is an integer
+        if fields[name].annotation is int and isinstance(value, float) and value.is_integer():
+            given[name] = int(value)
+    try:
+        parsed = model.model_validate_json(json.dumps(given))  # as JSON: strict, but a list is a tuple where one is due
+    except ValidationError as error:
+        raise _explain(model, error) from error
+    for name, allowed in (choices or {}).items():
+        value = getattr(parsed, name)
+        for item in value if isinstance(value, list) else [] if value is None else [value]:
+            if allowed and item not in allowed:
+                raise _no_choice(name, item, list(allowed))
+    if isinstance(kind, Derived):
+        for name in given:
+            _check_derived(name, getattr(parsed, name), kind.properties[name])
+    return parsed
 
 
-def _explain(error: ValidationError) -> InvalidInputError:
-    path = ".".join(str(part) for part in error.absolute_path)
-    where = f"Argument {path!r}" if path else "The call"
-    # a validation error raised by iter_errors() has all of these; the type of the library also allows for unset ones
-    value: Any = error.instance
-    expected: Any = error.validator_value
-    rule: Any = error.schema
-    if error.validator == "additionalProperties":
-        valid = list(rule.get("properties", {}))
-        unknown = next(key for key in value if key not in valid)
-        close = get_close_matches(str(unknown), valid, n=1)
-        hint = f"Did you mean {close[0]!r}?" if close else f"Valid: {', '.join(valid) or 'none'}."
-        return InvalidInputError(f"{where} has no argument {unknown!r}.", hint=hint, path=str(unknown))
-    if error.validator == "required":
-        missing = next(key for key in expected if key not in value)
-        return InvalidInputError(f"Argument {missing!r} is missing.", path=missing)
-    if error.validator == "enum":
-        close = get_close_matches(str(value), [str(e) for e in expected], n=1)
-        nearest = f" Did you mean {close[0]!r}?" if close else ""
-        return InvalidInputError(
-            f"{where} is {_short(value)}.{nearest}",
-            hint=f"Choose one of: {', '.join(str(e) for e in expected)}.",
-            path=path,
-        )
-    if error.validator == "type":
-        return InvalidInputError(f"{where} is {_short(value)}, expected {expected}.", path=path)
-    return InvalidInputError(f"{where} is {_short(value)}: {error.validator} is {expected}.", path=path)
+def _check_derived(name: str, value: Any, schema: Schema) -> None:
+    if "enum" in schema and value not in schema["enum"]:
+        raise _no_choice(name, value, schema["enum"])
+    if isinstance(value, int | float) and value > schema.get("maximum", value):
+        raise InvalidInputError(f"Argument {name!r} is {value:g}, expected up to {schema['maximum']:g}.", path=name)
+
+
+def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:
+    """The first error, in the words of JSON; an unknown name first, as it may explain the others."""
+    errors = error.errors(include_url=False)
+    first = next((found for found in errors if found["type"] == "extra_forbidden"), errors[0])
+    *outer, last = first["loc"] or ("",)
+    path = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return unknown_name(f"Argument {'.'.join(map(str, outer))!r}", str(last), _names_at(model, outer))
+    if first["type"] == "missing":
+        return InvalidInputError(f"Argument {path!r} is missing.", path=path)
+    if first["type"] == "literal_error":
+        return _no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+    if first["type"] == "json_invalid":
+        return InvalidInputError("The call holds text that is no Unicode, or is nested too deeply.")
+    what = first["msg"].replace("Input should be ", "expected ")
+    return InvalidInputError(f"Argument {path!r} is {_short(first['input'])}, {what}.", path=path)
+
+
+def _names_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Names of the fields of a model inside of another; empty when there is none."""
+    found: Any = model
+    for part in path:
+        field = getattr(found, "model_fields", {}).get(part)
+        found = next(iter(get_args(found)), None) if isinstance(part, int) else field.annotation if field else None
+    return list(getattr(found, "model_fields", {}))
+
+
+def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInputError:
+    """The error for a name that `where` does not take, with the nearest one that it does."""
+    text = str(name)[:60]
+    close = get_close_matches(text, valid, n=1)
+    hint = f"Did you mean {close[0]!r}?" if close else f"Valid: {', '.join(valid) or 'none'}."
+    return InvalidInputError(f"{where} has no argument {text!r}.", hint=hint, path=text)
+
+
+def _no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
+    close = get_close_matches(str(value)[:60], allowed, n=1)
+    nearest = f" Did you mean {close[0]!r}?" if close else ""
+    listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
+    return InvalidInputError(
+        f"Argument {path!r} is {_short(value)}.{nearest}", hint=f"Choose one of: {listed}.", path=path
+    )
 
 
 def _short(value: object) -> str:

@@ -8,6 +8,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
+from roboneuron.server.schema import Derived, Schema, model_schema, parse, with_choices
+
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments")
 Stage = Callable[[str], None]
@@ -15,9 +17,13 @@ Stage = Callable[[str], None]
 
 
 class Arguments(BaseModel):
-    """Base of all argument models: nothing unknown, nothing converted."""
+    """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    def given(self) -> dict[str, Any]:
+        """What the caller gave, without defaults; for the audit."""
+        return self.model_dump(exclude_unset=True)
 
 
 class NoArguments(Arguments):
@@ -48,7 +54,7 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """What a derived tool returns: JSON-able values that fit its output schema, and pictures beside them."""
+    """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside them."""
 
     structured: Mapping[str, Any]
     pictures: tuple[Picture, ...] = ()
@@ -96,12 +102,13 @@ class Tool(Generic[A]):
         name: snake_case, a verb first.
         title: for people.
         description: for the agent: what it does, when it returns, what comes before and after it.
-        arguments, result: models; their JSON schemas are what the agent sees.
+        arguments, result: models, whose JSON schemas are what the agent sees; or `Derived` ones.
         handler: validated arguments -> Result or Reply; raises RoboNeuronError.
         read_only: changes nothing.
         destructive: may end or undo something.
         idempotent: a second call changes nothing more.
         open_world: reaches what this server does not control (the physical world counts).
+        listed: in tools/list; others are found by search and called by name all the same.
         choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
         role: least role of a caller; when empty, viewers may call what is read-only and operators everything else.
         always: it stops something, so it is done however many calls are at work already.
@@ -112,40 +119,34 @@ class Tool(Generic[A]):
     name: str
     title: str
     description: str
-    arguments: type[A]
-    result: type[Result]
+    arguments: type[A] | Derived[A]
+    result: type[Result] | Derived[Result]
     handler: Callable[[A, CallContext], Awaitable[Result | Reply]]
     read_only: bool = False
     destructive: bool = False
     idempotent: bool = False
     open_world: bool = False
+    listed: bool = True
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
     role: str = ""
     always: bool = False
     urgent: Callable[[Mapping[str, Any], CallContext], object] | None = None
 
+    def input_schema(self) -> Schema:
+        """The JSON schema of the arguments, with today's choices."""
+        schema = model_schema(self.arguments)
+        return with_choices(schema, self._choices()) if self.choices else schema
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DerivedTool:
-    """A tool whose schemas were made at run time (from ROS interfaces); its handler checks the arguments itself.
+    def output_schema(self) -> Schema:
+        """The JSON schema of the result."""
+        return model_schema(self.result, result=True)
 
-    Attributes:
-        input_schema, output_schema: JSON schemas of objects.
-        handler: raw arguments -> Answer; raises RoboNeuronError.
-        listed: in tools/list; others are found by search and called by name all the same.
-        The rest is as in `Tool`.
-    """
+    async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+        """Check the arguments and do it. Raises InvalidInputError for them, and what the handler raises."""
+        outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
+        reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
+        told = reply.result.model_dump(mode="json", exclude_unset=isinstance(self.result, Derived))
+        return Answer(structured=told, pictures=reply.pictures)
 
-    name: str
-    title: str
-    description: str
-    input_schema: dict[str, Any]
-    output_schema: dict[str, Any]
-    handler: Callable[[Mapping[str, Any], CallContext], Awaitable[Answer]]
-    read_only: bool = False
-    destructive: bool = False
-    idempotent: bool = False
-    open_world: bool = True
-    listed: bool = True
-    role: str = ""
-    always: bool = False
+    def _choices(self) -> dict[str, dict[str, str]]:
+        return {name: ask() for name, ask in self.choices.items()}

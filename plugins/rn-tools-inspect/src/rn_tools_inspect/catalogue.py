@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
+from roboneuron import CallContext, Host, NoArguments, Result, Tool
 from roboneuron.plugins.record import Offer
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import (
@@ -16,8 +17,6 @@ from roboneuron.plugins.specs import (
     RobotSpec,
     RuntimeSpec,
 )
-from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 
 class Entry(Result):
@@ -236,12 +235,12 @@ _LISTS: tuple[tuple[str, str, type[Result], Any], ...] = (
 )
 
 
-def catalogue_tools(plugins: PluginCatalogue) -> list[Tool[Any]]:
+def catalogue_tools(host: Host) -> list[Tool[Any]]:
     """One tool for each kind of plugin."""
 
     def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[Any]:
         async def handler(_: NoArguments, context: CallContext) -> Result:
-            answer: Result = build(plugins.current())
+            answer: Result = build(host.registry)
             return answer
 
         return Tool(

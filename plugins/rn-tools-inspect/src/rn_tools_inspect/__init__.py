@@ -1,0 +1,1 @@
+"""Tools that inspect: what is installed, and what the cameras show."""

@@ -1,0 +1,101 @@
+"""Arguments are taken as JSON has them: nothing is converted, and what is refused is named."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import pytest
+from pydantic import Field
+
+from roboneuron.errors import InvalidInputError
+from roboneuron.server.schema import Derived, model_schema, parse
+from roboneuron.server.tool import Arguments
+
+
+class Step(Arguments):
+    """Inside of another."""
+
+    duration_s: float = Field(gt=0)
+
+
+class Move(Arguments):
+    """Arguments of a tool."""
+
+    speed: float = Field(default=1.0, ge=0, le=2)
+    times: int = Field(default=1, ge=1)
+    form: Literal["jpeg", "png"] = "jpeg"
+    dry_run: bool = False
+    steps: list[Step] = Field(default_factory=list)
+    note: str | None = None
+    box_m: tuple[float, float] = (0.0, 1.0)
+
+
+DERIVED = Derived(
+    model=Move, properties={"speed": {"maximum": 1.5}, "note": {"enum": ["left", "right"]}}, required=["speed"]
+)
+
+
+@pytest.mark.parametrize(
+    ("given", "words", "path"),
+    [
+        ({"speed": True}, "Argument 'speed' is True, expected a valid number", "speed"),
+        ({"speed": "1"}, "Argument 'speed' is '1', expected a valid number", "speed"),
+        ({"speed": float("nan")}, "Argument 'speed' is nan, expected a finite number", "speed"),
+        ({"speed": float("inf")}, "Argument 'speed' is inf, expected a finite number", "speed"),
+        ({"speed": 3}, "Argument 'speed' is 3, expected less than or equal to 2", "speed"),
+        ({"times": True}, "Argument 'times' is True, expected a valid integer", "times"),
+        ({"times": 1.5}, "Argument 'times' is 1.5, expected a valid integer", "times"),
+        ({"dry_run": 1}, "Argument 'dry_run' is 1, expected a valid boolean", "dry_run"),
+        ({"form": "pgn"}, "Argument 'form' is 'pgn'. Did you mean 'png'? Choose one of: jpeg, png.", "form"),
+        ({"note": 5}, "Argument 'note' is 5, expected a valid string", "note"),
+        ({"sped": 1}, "The call has no argument 'sped'. Did you mean 'speed'?", "sped"),
+        ({"steps": [{"duration": 1}]}, "Argument 'steps.0' has no argument 'duration'. Did you mean 'du", "duration"),
+        ({"steps": [{}]}, "Argument 'steps.0.duration_s' is missing.", "steps.0.duration_s"),
+        ({"steps": {}}, "Argument 'steps' is {}, expected a valid array", "steps"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(given: dict[str, Any], words: str, path: str) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        parse(Move, given)
+    assert words in str(caught.value)
+    assert caught.value.path == path
+
+
+def test_a_list_is_a_tuple_where_the_model_has_one() -> None:
+    assert parse(Move, {"box_m": [1, 2.5]}).box_m == (1.0, 2.5)
+    for wrong in ([1], [1, True], "12"):
+        with pytest.raises(InvalidInputError, match="box_m"):
+            parse(Move, {"box_m": wrong})
+
+
+def test_what_is_no_text_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="no Unicode"):
+        parse(Move, {"note": "\ud800"})
+
+
+def test_an_integer_may_be_written_with_a_point_and_null_is_omitted() -> None:
+    assert parse(Move, {"times": 2.0, "speed": 1, "note": None}) == Move(times=2, speed=1.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "Argument 'speed' is missing."),
+        ({"speed": None}, "Argument 'speed' is None"),
+        ({"speed": 1.75}, "Argument 'speed' is 1.75, expected up to 1.5."),
+        ({"speed": 1, "note": "lift"}, "Argument 'note' is 'lift'. Did you mean 'left'? Choose one of: left, right."),
+        ({"speed": 1, "times": 2}, "The call has no argument 'times'."),
+    ],
+)
+def test_what_is_known_at_run_time_only_is_checked_too(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        parse(DERIVED, given)
+    assert words in str(caught.value)
+
+
+def test_a_derived_schema_holds_what_is_used_and_no_other_definition() -> None:
+    schema = model_schema(DERIVED)
+    assert schema["properties"]["speed"] == {"default": 1.0, "minimum": 0, "maximum": 1.5, "type": "number"}
+    assert schema["required"] == ["speed"]
+    assert "$defs" not in schema
+    assert model_schema(Derived(model=Move, properties={"steps": {}}))["$defs"].keys() == {"Step"}

@@ -1,0 +1,14 @@
+"""docs/tools.md is what the code says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_tool_reference_is_current() -> None:
+    done = subprocess.run([sys.executable, str(ROOT / "tools" / "tool_reference.py"), "--check"], timeout=120)
+    assert done.returncode == 0, "run: python tools/tool_reference.py"
