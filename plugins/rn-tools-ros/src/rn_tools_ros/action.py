@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
+from rn_tools_ros.exposed_types import action_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
@@ -25,8 +26,7 @@ SERVER = Number(text="How long to wait for the action server, in seconds.", low=
 
 def goal_schema(targets: Targets) -> Schema:
     """The output schema; a dry run has no result."""
-    interface = targets.first.interface
-    assert isinstance(interface, ActionInterface)
+    interface = action_of(targets.first)
     properties: dict[str, Schema] = {
         "robot": {"type": "string"},
         "action": {"type": "string"},
@@ -54,8 +54,7 @@ class GoalSending:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         check_names(arguments, self._names)
         exposed = self._targets.take(arguments)
-        interface = exposed.interface
-        assert isinstance(interface, ActionInterface)
+        interface = action_of(exposed)
         timeout_s = self.timeout.take("timeout_s", arguments)
         server_s = SERVER.take("server_timeout_s", arguments)
         dry_run = take_flag(arguments, "dry_run")

@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterable
 from rn_tools_ros import read, service
 from rn_tools_ros.action import SERVER, GoalSending, goal_schema
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
+from rn_tools_ros.exposed_types import action_of, message_of, service_of
 from rn_tools_ros.naming import tool_name
 from rn_tools_ros.publish import Delivery, Publishing, duration_argument
 from rn_tools_ros.schemas import hull, message_schema
 from rn_tools_ros.sequence import MAX_STEPS, TIMES, Sequencing
 from rn_tools_ros.targets import Targets
-from roboneuron.interfaces import ActionInterface, ServiceInterface
 from roboneuron.server.arguments import Schema, boolean, object_schema
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
@@ -60,7 +60,7 @@ def _make(use: str, name: str, noun: str, targets: Targets, gate: MotionGate, de
 
 
 def _publish(name: str, noun: str, targets: Targets, gate: MotionGate, delivery: Schema) -> DerivedTool:
-    message = message_schema(targets.first.message, hull([e.endpoint for e in targets.endpoints]))
+    message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
@@ -85,7 +85,7 @@ def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate, delivery
     sequencing = Sequencing(gate, targets, name)
     step = object_schema(
         {"message": message, "duration_s": sequencing.duration.schema()},
-        [*(["message"] if targets.first.message.fields else []), *([] if targets.trajectory else ["duration_s"])],
+        [*(["message"] if message_of(targets.first).fields else []), *([] if targets.trajectory else ["duration_s"])],
     )
     steps: Schema = {
         "type": "array", "items": step, "minItems": 1, "maxItems": MAX_STEPS,
@@ -128,8 +128,7 @@ def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTo
 
 
 def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTool:
-    interface = targets.first.interface
-    assert isinstance(interface, ServiceInterface)
+    interface = service_of(targets.first)
     request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
     properties = {
         **targets.schema(),
@@ -149,8 +148,7 @@ def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Derive
 
 
 def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> DerivedTool:
-    interface = targets.first.interface
-    assert isinstance(interface, ActionInterface)
+    interface = action_of(targets.first)
     sending = GoalSending(gate, targets, name)
     properties = {
         **targets.schema(),
@@ -174,5 +172,5 @@ def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> Derived
 
 
 def _required(targets: Targets, name: str) -> list[str]:
-    needed = name == "steps" or bool(targets.first.message.fields)
+    needed = name == "steps" or bool(message_of(targets.first).fields)
     return [*targets.arguments, *([name] if needed else [])]

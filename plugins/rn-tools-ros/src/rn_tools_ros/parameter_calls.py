@@ -11,7 +11,7 @@ from rn_tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_expose
 from rn_tools_ros.service import TIMEOUT
 from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.interfaces import Plain, load_interface, load_message
+from roboneuron.interfaces import Plain, load_message
 from roboneuron.server.arguments import check_names, take_choice, take_flag, take_list, take_object
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
@@ -43,7 +43,7 @@ def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
             made.append(
                 Exposed(
                     robot=node.robot, namespace=node.namespace, label=endpoint.name, endpoint=endpoint,
-                    interface=load_interface(type_name), moves=node.moves, hidden=True,
+                    moves=node.moves, hidden=True,
                 )
             )  # fmt: skip
     return made

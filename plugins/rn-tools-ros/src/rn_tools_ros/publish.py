@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, encode_argument, verdict_fields
+from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
 from roboneuron.server.arguments import Number, check_names, take_flag
@@ -99,13 +100,13 @@ class Publishing:
 
 def encode_step(exposed: Exposed, arguments: Mapping[str, Any], name: str, duration_s: float) -> Step:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
-    message = encode_argument(exposed.message, arguments, name)
+    message = encode_argument(message_of(exposed), arguments, name)
     return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, arguments.get(name) or {}))
 
 
 def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
     """Whether the message has a header whose stamp the agent left to us."""
-    if not any(field.name == "header" for field in exposed.message.fields):
+    if not any(field.name == "header" for field in message_of(exposed).fields):
         return False
     header = value.get("header")
     return not (isinstance(header, Mapping) and header.get("stamp") is not None)

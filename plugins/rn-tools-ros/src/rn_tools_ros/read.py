@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
@@ -23,7 +24,7 @@ _PICTURES = 4
 
 def reading_schema(targets: Targets) -> Schema:
     """The output schema."""
-    message = decoded_schema(targets.first.message)
+    message = decoded_schema(message_of(targets.first))
     properties: dict[str, Schema] = {
         "robot": {"type": "string"},
         "topic": {"type": "string"},
@@ -56,7 +57,7 @@ class Reading:
         return await context.run(lambda _: self._read(exposed, count, timeout_s, halt), on_cancel=halt.set)
 
     def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Answer:
-        part = exposed.message
+        part = message_of(exposed)
         got = self._gate.read(exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
             who = "Nobody publishes" if not got.publishers else f"{got.publishers} publish, but nothing came on"
@@ -88,7 +89,7 @@ def _pictures(exposed: Exposed, messages: list[Any]) -> tuple[tuple[Picture, ...
     notes: list[str] = []
     for message in messages:
         try:
-            made = exposed.message.pictures(message)
+            made = message_of(exposed).pictures(message)
         except InvalidInputError as error:
             notes.append(str(error))
             continue

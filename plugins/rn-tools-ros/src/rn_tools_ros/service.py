@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
+from rn_tools_ros.exposed_types import service_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
-from roboneuron.interfaces import ServiceInterface
 from roboneuron.server.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request
@@ -21,8 +21,7 @@ TIMEOUT = Number(text="How long to wait for the answer, in seconds.", low=0.0, h
 
 def service_schema(targets: Targets) -> Schema:
     """The output schema; a dry run has no response."""
-    interface = targets.first.interface
-    assert isinstance(interface, ServiceInterface)
+    interface = service_of(targets.first)
     properties: dict[str, Schema] = {
         "robot": {"type": "string"},
         "service": {"type": "string"},
@@ -47,8 +46,7 @@ class Calling:
         """Raises InvalidInputError, RefusedError, NotReadyError."""
         check_names(arguments, self._names)
         exposed = self._targets.take(arguments)
-        interface = exposed.interface
-        assert isinstance(interface, ServiceInterface)
+        interface = service_of(exposed)
         timeout_s = TIMEOUT.take("timeout_s", arguments)
         dry_run = take_flag(arguments, "dry_run")
         message = encode_argument(interface.request, arguments, "request")

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import AllowedEndpoint
-from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.gate.limits import sent_types
-from roboneuron.interfaces import Interface, MessageInterface, load_interface
+from roboneuron.gate.fields import filled, load_type
 from roboneuron.ros.topics import ACTION
 
-_VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
 ACTION_LABEL = "ee_delta"
 """Label of the hidden endpoint that is the action topic of an arm."""
@@ -29,7 +26,6 @@ class Exposed:
         namespace: its ROS namespace, without a leading slash.
         label: noun in the names of its tools.
         endpoint: the gate's entry; its name is unique among the robot's.
-        interface: the type.
         profile: the robot's facts, None for a robot that no plugin knows.
         clamp, nonfinite: see `AllowedEndpoint`.
         require_subscriber: a message that nobody receives is an error.
@@ -41,7 +37,6 @@ class Exposed:
     namespace: str
     label: str
     endpoint: Endpoint
-    interface: Interface
     profile: RobotProfile | None = None
     clamp: frozenset[str] = frozenset()
     nonfinite: frozenset[str] = frozenset()
@@ -56,10 +51,9 @@ class Exposed:
         return name if name.startswith("/") else f"/{self.namespace}/{name}"
 
     @property
-    def message(self) -> MessageInterface:
-        """The type as a message; only for topics."""
-        assert isinstance(self.interface, MessageInterface)
-        return self.interface
+    def ros_type(self) -> Any:
+        """The rosidl class of its type. Raises ConfigurationError."""
+        return load_type(self.endpoint.type)
 
     def allowed(self) -> AllowedEndpoint:
         """The entry of the gate's allow list."""
@@ -77,9 +71,7 @@ class Exposed:
         text = self.endpoint.stop_message
         if not text:
             return None
-        if text != "zero":
-            return self.message.encode(json.loads(text), now_ns=now_ns)
-        message = self.message.ros_type()
+        message = filled(self.ros_type, {} if text == "zero" else json.loads(text))
         header = getattr(message, "header", None)
         if header is not None and hasattr(header, "stamp"):
             header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
@@ -94,7 +86,6 @@ def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) 
             namespace=namespace,
             label=endpoint.name,
             endpoint=endpoint,
-            interface=load_interface(endpoint.type),
             profile=profile,
         )
         for endpoint in (profile.endpoints if profile is not None else ())
@@ -112,25 +103,8 @@ def action_endpoint(exposed: Exposed) -> Exposed | None:
     )  # fmt: skip
     return Exposed(
         robot=exposed.robot, namespace=exposed.namespace, label=ACTION_LABEL, endpoint=endpoint,
-        interface=load_interface(_ACTION_TYPE), profile=profile, hidden=True,
+        profile=profile, hidden=True,
     )  # fmt: skip
-
-
-def is_velocity_type(kind: str, type_name: str) -> bool:
-    """Whether a robot goes on at what it was told until it is told something else, so that it has to end in zero."""
-    return kind == "publish" and type_name in _VELOCITIES
-
-
-def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
-    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with joint limits."""
-    if kind == "read" or profile is None or profile.limits is None:
-        return False
-    return type_name in JOINT_TYPES or any(name in JOINT_TYPES for name in sent_types(kind, type_name))
-
-
-def renamed(exposed: Exposed, name: str) -> Exposed:
-    """The same endpoint under another name in the allow list."""
-    return replace(exposed, endpoint=replace(exposed.endpoint, name=name))
 
 
 def check_stop(exposed: Exposed) -> None:

@@ -86,10 +86,9 @@ class MotionGate:
         """
         from roboneuron.ros.reader import Cancelled, read_messages  # heavy
 
-        part = exposed.message
         try:
             return read_messages(
-                self._access.traffic.link(), part.ros_type, exposed.endpoint.type, exposed.topic,
+                self._access.traffic.link(), exposed.ros_type, exposed.endpoint.type, exposed.topic,
                 count=count, timeout_s=timeout_s, cancelled=halt,
             )  # fmt: skip
         except Cancelled:

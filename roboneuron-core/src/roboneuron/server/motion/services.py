@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from roboneuron.errors import InternalError, NotReadyError, StateError
 from roboneuron.gate import GateRequest, Verdict
-from roboneuron.interfaces import ServiceInterface
 from roboneuron.server.motion.access import Access
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.supervisor.changes import Changes
@@ -43,16 +42,14 @@ def call(access: Access, exposed: Exposed, request: GateRequest, timeout_s: floa
     if request.dry_run:
         return Response(verdict=access.ask(exposed, request))
     access.arbiter.check_free(exposed)
-    interface = exposed.interface
-    assert isinstance(interface, ServiceInterface)
     started_s = time.monotonic()
-    _await_service(access.traffic.link(), interface.ros_type, exposed.topic, timeout_s, halt)
+    _await_service(access.traffic.link(), exposed.ros_type, exposed.topic, timeout_s, halt)
     verdict = access.gate.check(request)
     if not verdict.may_send:
         return Response(verdict=verdict)
     remaining_s = max(0.5, timeout_s - (time.monotonic() - started_s))
     message = _call_service(
-        access.traffic.link(), interface.ros_type, exposed.topic, request.messages[0], remaining_s, halt
+        access.traffic.link(), exposed.ros_type, exposed.topic, request.messages[0], remaining_s, halt
     )
     return Response(verdict=verdict, message=message, took_s=time.monotonic() - started_s)
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError
-from roboneuron.interfaces import load_interface
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, MODULE_KINDS
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES
 
@@ -129,11 +128,8 @@ def same_for_each_topic(drafts: Iterable[Exposed], sources: Mapping[Use, Iterabl
         for source in (*names[use], *sources.get(use, ())):
             endpoint = tightened_by(endpoint, source.endpoint)
         nonfinite = frozenset.intersection(*(e.nonfinite for e in names[use]))
-        interface = draft.interface
-        if nonfinite != draft.nonfinite:
-            interface = load_interface(endpoint.type, nonfinite=nonfinite)
         moves = any(e.moves for e in names[use])
-        made.append(replace(draft, endpoint=endpoint, moves=moves, nonfinite=nonfinite, interface=interface))
+        made.append(replace(draft, endpoint=endpoint, moves=moves, nonfinite=nonfinite))
     return made
 
 

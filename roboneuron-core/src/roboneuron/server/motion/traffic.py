@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from roboneuron.contract import JointSample, Pose
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.interfaces import ActionInterface
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES
 from roboneuron.server.motion.exposed import Exposed
 
@@ -49,18 +48,17 @@ class Traffic:
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._writers:
-                self._writers[key] = TopicWriter(link, exposed.message.ros_type, exposed.endpoint.type, exposed.topic)
+                self._writers[key] = TopicWriter(link, exposed.ros_type, exposed.endpoint.type, exposed.topic)
             return self._writers[key]
 
     def goal_client(self, exposed: Exposed) -> GoalClient:
         """The client of an action."""
         from roboneuron.ros.goal import GoalClient  # heavy
 
-        assert isinstance(exposed.interface, ActionInterface)
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._goals:
-                self._goals[key] = GoalClient(link, exposed.interface.ros_type, exposed.topic)
+                self._goals[key] = GoalClient(link, exposed.ros_type, exposed.topic)
             return self._goals[key]
 
     def newest_joints(self, exposed: Exposed) -> JointSample | None:
