@@ -27,16 +27,15 @@ ALLOWED: dict[str, set[str]] = {
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
     "config": LIGHT | {"plugins"},
-    "interfaces": CONTRACT | {"plugins", "planning", "config"},
-    "gate": CONTRACT | {"plugins", "planning", "config", "interfaces"},  # it checks fields by their interface types
-    "ros": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate"},
-    "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
-    "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
-    "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
+    "gate": CONTRACT | {"plugins", "planning", "config"},
+    "ros": CONTRACT | {"plugins", "planning", "config", "gate"},
+    "modules": CONTRACT | {"plugins", "planning", "config", "gate", "ros"},
+    "supervisor": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules"},
+    "server": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules", "supervisor"},
     "client": LIGHT,
 }
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
-ROS_ROOMS = {"ros", "modules", "interfaces"}
+ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
@@ -67,7 +66,7 @@ def _breaches(path: Path) -> Iterator[str]:
         if parts[0] == "roboneuron" and len(parts) > 1 and parts[1] != "__version__" and parts[1] not in allowed:
             yield f"{path.relative_to(CORE)}:{line} imports {name}"
         if parts[0] == "rclpy" and room not in ROS_ROOMS:
-            yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros, modules and interfaces"
+            yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros and modules"
         if parts[0].startswith("rn_"):
             yield f"{path.relative_to(CORE)}:{line} imports the plugin {name}"
 

@@ -13,10 +13,10 @@ from pydantic import Field
 
 from rn_tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
 from rn_tools_arm.options import ArmToolsOptions
+from rn_tools_ros.arguments import Number, check_names, take_flag
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest
-from roboneuron.server.arguments import Number, check_names, take_flag
 from roboneuron.server.host import Host
 from roboneuron.server.motion.delivery import Command
 from roboneuron.server.motion.exposed import Exposed

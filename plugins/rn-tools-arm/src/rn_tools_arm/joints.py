@@ -10,11 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from roboneuron.contract import JointSample
-from roboneuron.errors import InvalidInputError, NotReadyError, StateError
-from roboneuron.gate.acceleration import shortest_s
-from roboneuron.gate.joint_limits import JointLimit, joint_limits
-from roboneuron.server.arguments import (
+from rn_tools_ros.arguments import (
     Number,
     Schema,
     boolean,
@@ -23,6 +19,10 @@ from roboneuron.server.arguments import (
     take_flag,
     take_object,
 )
+from roboneuron.contract import JointSample
+from roboneuron.errors import InvalidInputError, NotReadyError, StateError
+from roboneuron.gate.acceleration import shortest_s
+from roboneuron.gate.joint_limits import JointLimit, joint_limits
 from roboneuron.server.motion.delivery import Command
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rn_tools_arm.end_effector import EndEffectorMove, EndEffectorMover
 from rn_tools_arm.joints import joint_tools
 from rn_tools_arm.options import ArmToolsOptions
-from roboneuron.server.arguments import Schema, boolean, object_schema
+from rn_tools_ros.arguments import Schema, boolean, object_schema
 from roboneuron.server.host import Host
 from roboneuron.server.motion.exposed import ACTION_LABEL
 from roboneuron.server.schema import output_schema

@@ -8,13 +8,13 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.arguments import Number, Schema, check_names, object_schema, take_flag
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import action_of
+from rn_tools_ros.interfaces import ActionInterface
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
-from roboneuron.interfaces import ActionInterface
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.goals import GoalEnd
 from roboneuron.server.motion.requests import gate_request

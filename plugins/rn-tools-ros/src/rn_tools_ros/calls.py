@@ -6,10 +6,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.arguments import Number, Schema, inside, take_object
+from rn_tools_ros.interfaces import MessageInterface
 from roboneuron.errors import InvalidInputError
 from roboneuron.gate import Verdict
-from roboneuron.interfaces import MessageInterface
-from roboneuron.server.arguments import Number, Schema, inside, take_object
 
 SUBSCRIBER_TIMEOUT = Number(text="How long to wait for a subscriber, in seconds.", low=0.0, high=60.0, default=5.0)
 VERDICT: dict[str, Schema] = {

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable
 
 from rn_tools_ros import read, service
 from rn_tools_ros.action import SERVER, GoalSending, goal_schema
+from rn_tools_ros.arguments import Schema, boolean, object_schema
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
 from rn_tools_ros.exposed_types import action_of, message_of, service_of
 from rn_tools_ros.naming import tool_name
@@ -13,7 +14,6 @@ from rn_tools_ros.publish import Delivery, Publishing, duration_argument
 from rn_tools_ros.schemas import hull, message_schema
 from rn_tools_ros.sequence import MAX_STEPS, TIMES, Sequencing
 from rn_tools_ros.targets import Targets
-from roboneuron.server.arguments import Schema, boolean, object_schema
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import output_schema

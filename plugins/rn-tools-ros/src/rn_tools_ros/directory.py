@@ -6,10 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from roboneuron.errors import InvalidInputError
-from roboneuron.gate.request import VIEWER
-from roboneuron.server.access import check_role, may_call
-from roboneuron.server.arguments import (
+from rn_tools_ros.arguments import (
     Number,
     check_names,
     object_schema,
@@ -17,6 +14,9 @@ from roboneuron.server.arguments import (
     take_object,
     take_text,
 )
+from roboneuron.errors import InvalidInputError
+from roboneuron.gate.request import VIEWER
+from roboneuron.server.access import check_role, may_call
 from roboneuron.server.tool import Answer, CallContext, DerivedTool
 
 LIMIT = Number(text="Most tools to return.", low=1, high=50, default=10, integer=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
+from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
 from rn_tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
 from rn_tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_tools_ros.pattern_limits import pattern_limits
@@ -15,7 +16,6 @@ from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.motion.exposed import Exposed, check_stop, profile_endpoints

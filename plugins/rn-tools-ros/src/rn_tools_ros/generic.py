@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.exposure import Exposure
+from rn_tools_ros.interfaces import ActionInterface, Interface, ServiceInterface, list_interfaces, load_interface
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.interfaces import ActionInterface, Interface, ServiceInterface, list_interfaces, load_interface
 from roboneuron.server.graph import RosGraph
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 

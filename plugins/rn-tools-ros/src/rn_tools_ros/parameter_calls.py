@@ -6,13 +6,13 @@ import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rn_tools_ros.arguments import check_names, take_choice, take_flag, take_list, take_object
+from rn_tools_ros.interfaces import Plain, load_message
 from rn_tools_ros.parameter_nodes import ParameterNode
 from rn_tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
 from rn_tools_ros.service import TIMEOUT
 from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.interfaces import Plain, load_message
-from roboneuron.server.arguments import check_names, take_choice, take_flag, take_list, take_object
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request

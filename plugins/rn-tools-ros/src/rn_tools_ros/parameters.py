@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rn_tools_ros.arguments import Schema, choice, object_schema
 from rn_tools_ros.parameter_calls import MOST, ParameterCalls
 from rn_tools_ros.parameter_nodes import ParameterNode
 from rn_tools_ros.service import TIMEOUT
-from roboneuron.server.arguments import Schema, choice, object_schema
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.tool import DerivedTool
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_tools_ros.arguments import Number, check_names, take_flag
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.arguments import Number, check_names, take_flag
 from roboneuron.server.motion.delivery import Step
 from roboneuron.server.motion.ending import Sent
 from roboneuron.server.motion.exposed import Exposed

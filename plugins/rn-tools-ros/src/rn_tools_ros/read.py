@@ -7,11 +7,11 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.arguments import Number, Schema, check_names, object_schema
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request

@@ -7,11 +7,11 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.arguments import Number, check_names, inside, take_flag, take_list
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
 from rn_tools_ros.publish import encode_step, to_answer
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.arguments import Number, check_names, inside, take_flag, take_list
 from roboneuron.server.motion.delivery import Step
 from roboneuron.server.motion.ending import Sent
 from roboneuron.server.motion.exposed import Exposed

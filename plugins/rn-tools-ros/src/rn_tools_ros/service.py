@@ -6,11 +6,11 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.arguments import Number, Schema, check_names, object_schema, take_flag
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import service_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
-from roboneuron.server.arguments import Number, Schema, check_names, object_schema, take_flag
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.motion.services import Response

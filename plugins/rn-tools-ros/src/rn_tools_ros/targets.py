@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from roboneuron.server.arguments import Schema, choice, take_choice
+from rn_tools_ros.arguments import Schema, choice, take_choice
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.joint_commands import TRAJECTORY
 

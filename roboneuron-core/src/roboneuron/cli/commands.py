@@ -39,7 +39,6 @@ COMMANDS: dict[str, Command] = {
     "tools": Command("roboneuron.cli.tools", "list the tools that agents get"),
     "call": Command("roboneuron.cli.call", "call a tool as an agent would, on a spawned or a running server"),
     "config": Command("roboneuron.cli.config", "show the default configuration, check one, list all keys"),
-    "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
     "plugins": Command("roboneuron.cli.plugins", "list, show and check the installed plugins"),
 }
 """Command by name, in the order of `roboneuron --help`."""

@@ -30,7 +30,7 @@ from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, Robot
 PUBLIC = ("contract", "errors", "plugins")
 """Packages of the core that plugins import, beside what `roboneuron` itself lists."""
 FOR_FEATURES = (
-    "cli", "client", "config", "gate", "interfaces", "log_files", "modules", "planning", "server", "supervisor"
+    "cli", "client", "config", "gate", "log_files", "modules", "planning", "server", "supervisor"
 )  # fmt: skip
 """What packages with features or commands import besides."""
 FOR_COMMANDS = ("ros",)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
+from rn_tools_ros.interfaces.refusal import describe_value
 from roboneuron.errors import InvalidInputError
-from roboneuron.interfaces.refusal import describe_value
 
 Schema = dict[str, Any]
 
