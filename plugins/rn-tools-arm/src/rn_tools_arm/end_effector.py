@@ -19,8 +19,7 @@ from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, Ro
 from roboneuron.gate import GateRequest
 from roboneuron.server.host import Host
 from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.requests import gate_request
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.tool import Answer, CallContext, Result, Stage
 
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6

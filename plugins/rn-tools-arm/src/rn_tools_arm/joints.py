@@ -23,11 +23,9 @@ from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.gate.acceleration import shortest_s
 from roboneuron.gate.joint_limits import JointLimit, joint_limits
-from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import TRAJECTORY, Command
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import TRAJECTORY
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.schema import output_schema
 from roboneuron.server.tool import Answer, CallContext, DerivedTool, Result, Stage
 

@@ -11,13 +11,13 @@ from typing import Any
 from rn_tools_ros.arguments import Number, Schema, check_names, object_schema, take_flag
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import action_of
+from rn_tools_ros.goals import GoalEnd, send_goal
 from rn_tools_ros.interfaces import ActionInterface
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
+from roboneuron.server.motion.exposed import gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.goals import GoalEnd
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import Answer, CallContext, Stage
 
 _FEEDBACK_PERIOD_S = 0.1
@@ -67,8 +67,8 @@ class GoalSending:
 
         def work(stage: Stage) -> tuple[GoalEnd, _Progress]:
             progress = _Progress(interface, stage)
-            end = self._gate.send_goal(
-                exposed, request,
+            end = send_goal(
+                self._gate, exposed, request,
                 timeout_s=timeout_s, server_s=server_s, halt=halt, on_feedback=progress.take,
             )  # fmt: skip
             return end, progress

@@ -38,3 +38,11 @@ def encode_argument(part: MessageInterface, arguments: Mapping[str, Any], name: 
         return part.encode(value, now_ns=time.time_ns())
     except InvalidInputError as error:
         raise inside(error, name) from error
+
+
+def duration_s(trajectory: Any) -> float:
+    """When the last point of a JointTrajectory is reached, in seconds after it was sent."""
+    if not trajectory.points:
+        return 0.0
+    last = trajectory.points[-1].time_from_start
+    return float(last.sec + last.nanosec * 1e-9)

@@ -16,8 +16,7 @@ from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import check_endpoint
 from roboneuron.server.graph import RosGraph
-from roboneuron.server.motion.exposed import Exposed, check_stop
-from roboneuron.server.motion.topic_limits import check_reserved
+from roboneuron.server.motion.exposed import Exposed, check_reserved, check_stop
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]

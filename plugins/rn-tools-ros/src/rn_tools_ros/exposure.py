@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
@@ -18,12 +18,13 @@ from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
-from roboneuron.server.motion.exposed import Exposed, check_stop, profile_endpoints
-from roboneuron.server.motion.topic_limits import (
+from roboneuron.server.motion.exposed import (
+    Exposed,
     Use,
     by_topic,
     check_reserved,
-    not_looser,
+    check_stop,
+    profile_endpoints,
     same_for_each_topic,
     tightened_by,
 )
@@ -107,7 +108,7 @@ def exposure(
     shown = same_for_each_topic(drafts.values(), known)
     for exposed in shown:
         check_reserved(exposed, namespaces)
-    made = tuple(unique(not_looser(shown, configured)))
+    made = tuple(unique(_not_looser(shown, configured)))
     return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
@@ -219,3 +220,10 @@ def _stop_text(entry: ExposeConfig, type_name: str) -> str:
         return json.dumps(part.decode(part.encode(given, now_ns=None), LOSSLESS))
     except InvalidInputError as error:
         raise ConfigurationError(f"The stop message of {entry.name!r}: {error}") from error
+
+
+def _not_looser(drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]) -> Iterator[Exposed]:
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold more than it did."""
+    for draft in drafts:
+        same = before.get((draft.topic, draft.endpoint.kind), ())
+        yield same_for_each_topic([draft, *same], {})[0] if same else draft

@@ -10,15 +10,13 @@ from pydantic import Field
 
 from rn_tools_ros.arguments import Number, check_names, take_flag
 from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, encode_argument, verdict_fields
+from rn_tools_ros.calls import duration_s as trajectory_s
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Step
-from roboneuron.server.motion.ending import Sent
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import duration_s as trajectory_s
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import Answer, CallContext, Result, Stage
 
 

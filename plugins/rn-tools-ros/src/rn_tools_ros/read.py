@@ -12,9 +12,8 @@ from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import Answer, CallContext, Picture
 
 COUNT = Number(text="How many messages to wait for.", low=1, high=100, default=1, integer=True)

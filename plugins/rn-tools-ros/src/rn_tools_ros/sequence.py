@@ -8,16 +8,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from rn_tools_ros.arguments import Number, check_names, inside, take_flag, take_list
-from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT
+from rn_tools_ros.calls import SUBSCRIBER_TIMEOUT, duration_s
 from rn_tools_ros.publish import encode_step, to_answer
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Step
-from roboneuron.server.motion.ending import Sent
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import duration_s
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import Answer, CallContext, Stage
 
 MAX_STEPS = 500

@@ -10,10 +10,10 @@ from rn_tools_ros.arguments import Number, Schema, check_names, object_schema, t
 from rn_tools_ros.calls import VERDICT, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import service_of
 from rn_tools_ros.schemas import decoded_schema
+from rn_tools_ros.service_calls import Response, call
 from rn_tools_ros.targets import Targets
+from roboneuron.server.motion.exposed import gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.motion.services import Response
 from roboneuron.server.tool import Answer, CallContext, Stage
 
 TIMEOUT = Number(text="How long to wait for the answer, in seconds.", low=0.0, high=300.0, default=10.0, above=True)
@@ -54,7 +54,7 @@ class Calling:
         halt = threading.Event()
 
         def work(_: Stage) -> Response:
-            return self._gate.call(exposed, request, timeout_s=timeout_s, halt=halt)
+            return call(self._gate, exposed, request, timeout_s, halt)
 
         response = await context.run(work, on_cancel=halt.set)
         structured: dict[str, Any] = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rn_tools_ros.arguments import Schema, choice, take_choice
+from roboneuron.server.motion.delivery import TRAJECTORY
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.joint_commands import TRAJECTORY
 
 
 class Targets:

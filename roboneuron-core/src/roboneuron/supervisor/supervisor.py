@@ -21,6 +21,7 @@ from roboneuron.supervisor.heartbeat import Heartbeat
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
 from roboneuron.supervisor.logs import run_directory
 from roboneuron.supervisor.observing import ProcessObservers
+from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Choice, Slot
 from roboneuron.supervisor.view import ModuleView, Stopped
@@ -87,6 +88,10 @@ class Supervisor:
     def link(self) -> RosLink:
         """The ROS node of the control plane; opened on first use."""
         return self._connection.link()
+
+    def parameters(self, node: str, process: ModuleProcess) -> ParameterClient:
+        """The parameters of a module: the absolute name of its node, and its process."""
+        return ParameterClient(self.link, self.changes, node, process.announce)
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.

@@ -7,17 +7,85 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
-from roboneuron.config import Config
+from roboneuron.config import Config, LimitsConfig
+from roboneuron.contract import Controller, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
-from roboneuron.modules.plugin import load_profile
+from roboneuron.gate.motion import MotionRules, PathLimiter, collision_of, motion_rules
+from roboneuron.modules.plugin import build, load_profile
 from roboneuron.plugins.registry import Registry
-from roboneuron.server.motion.exposed import Exposed, action_endpoint, check_stop, profile_endpoints
-from roboneuron.server.motion.kinematics import ArmPaths
-from roboneuron.server.motion.topic_limits import check_reserved, same_for_each_topic
+from roboneuron.server.motion.exposed import (
+    Exposed,
+    action_endpoint,
+    check_reserved,
+    check_stop,
+    profile_endpoints,
+    same_for_each_topic,
+)
 
 log = logging.getLogger(__name__)
+_Key = tuple[str, str]
+
+
+class ArmPaths:
+    """Makes a judge of joint motions per arm when the first one comes; usable from any thread."""
+
+    def __init__(self, config: Config, registry: Callable[[], Registry]) -> None:
+        """Args:
+        config: of the server; its `[limits]` hold for its own robot, other arms have the defaults and their profile.
+        registry: the plugins that are installed now.
+        """
+        self._config = config
+        self._registry = registry
+        self._made: dict[_Key, PathLimiter] = {}
+        self._lock = threading.Lock()
+
+    def rules(self, robot: str, profile: RobotProfile) -> MotionRules:
+        """The limits of an arm. Raises ConfigurationError as `motion_rules`."""
+        return motion_rules(self._limits(robot), profile)
+
+    def limiter(self, robot: str, profile: RobotProfile) -> PathLimiter:
+        """The judge of an arm; imports the controller's libraries the first time.
+
+        Raises:
+            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it; its joint motions
+                are refused then.
+        """
+        name = self._controller(robot)
+        with self._lock:
+            if (robot, name) not in self._made:
+                self._made[robot, name] = self._make(robot, name, profile)
+            return self._made[robot, name]
+
+    def _make(self, robot: str, name: str, profile: RobotProfile) -> PathLimiter:
+        limits = self._limits(robot)
+        limited = replace(profile, collision=collision_of(limits, profile))
+        spec = self._registry().get("controller", name)
+        controller = cast("Controller", build(spec, self._config.options(name), limited))
+        controller.load()
+
+        def look(joints: JointSample) -> Posture:
+            return Posture(pose=controller.forward(joints))
+
+        inspect = controller.inspect if isinstance(controller, PostureInspector) else look
+        return PathLimiter(motion_rules(limits, profile), limited, inspect)
+
+    def _limits(self, robot: str) -> LimitsConfig:
+        return self._config.limits if robot == self._config.robot.name else LimitsConfig()
+
+    def _controller(self, robot: str) -> str:
+        if self._config.control is not None:
+            return self._config.control.controller
+        names = sorted(self._registry().specs("controller"))
+        if len(names) != 1:
+            raise ConfigurationError(
+                f"Nothing tells where the joints would bring {robot!r}: the configuration names no controller"
+                + (f", installed are {', '.join(names)}." if names else " and none is installed."),
+                hint="Install one (rn-controller-urdf) and name it in [control].",
+            )
+        return names[0]
 
 
 class AllowList:
