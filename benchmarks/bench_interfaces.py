@@ -26,8 +26,8 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
+from rn_tools_ros.interfaces import InterfaceName, MessageInterface, list_interfaces, load_interface, load_message
 from roboneuron.errors import RoboNeuronError
-from roboneuron.interfaces import InterfaceName, MessageInterface, list_interfaces, load_interface, load_message
 
 MEBIBYTE = 1024 * 1024
 

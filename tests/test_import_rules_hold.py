@@ -27,15 +27,14 @@ ALLOWED: dict[str, set[str]] = {
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
     "config": LIGHT | {"plugins"},
-    "interfaces": CONTRACT | {"plugins", "planning", "config"},
-    "gate": CONTRACT | {"plugins", "planning", "config", "interfaces"},  # it checks fields by their interface types
-    "ros": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate"},
-    "modules": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros"},
-    "supervisor": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules"},
-    "server": CONTRACT | {"plugins", "planning", "config", "interfaces", "gate", "ros", "modules", "supervisor"},
+    "gate": CONTRACT | {"plugins", "planning", "config"},
+    "ros": CONTRACT | {"plugins", "planning", "config", "gate"},
+    "modules": CONTRACT | {"plugins", "planning", "config", "gate", "ros"},
+    "supervisor": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules"},
+    "server": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules", "supervisor"},
 }
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
-ROS_ROOMS = {"ros", "modules", "interfaces"}
+ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
@@ -66,7 +65,7 @@ def _breaches(path: Path) -> Iterator[str]:
         if parts[0] == "roboneuron" and len(parts) > 1 and parts[1] != "__version__" and parts[1] not in allowed:
             yield f"{path.relative_to(CORE)}:{line} imports {name}"
         if parts[0] == "rclpy" and room not in ROS_ROOMS:
-            yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros, modules and interfaces"
+            yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros and modules"
         if parts[0].startswith("rn_"):
             yield f"{path.relative_to(CORE)}:{line} imports the plugin {name}"
 
@@ -120,6 +119,33 @@ def test_plugins_import_only_what_is_public_of_the_core():
             if not is_public(name, packages)
         ]
     assert breaches == []
+
+
+def _reaches_ros(path: Path) -> Iterator[str]:
+    """What only the core does in the server's process: publishing, and making nodes and clients."""
+    for name, line in _imports(path):
+        if name.split(".")[0] == "rclpy" or name.startswith(("roboneuron.ros.link", "roboneuron.ros.writer")):
+            yield f"{path.name}:{line} imports {name}"
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr in {"create_publisher", "create_client", "advertise", "link"}:
+            yield f"{path.name}:{node.lineno} uses .{node.attr}"
+
+
+def test_features_send_only_through_the_gate():
+    """No publisher, client or node beside `host.gate`; a command is a process of its own and may join the graph."""
+    breaches = []
+    for plugin in sorted(PLUGINS.glob("*/src/*/plugin.py")):
+        if "FeatureSpec" in plugin.read_text(encoding="utf-8"):
+            breaches += [breach for path in sorted(plugin.parent.rglob("*.py")) for breach in _reaches_ros(path)]
+    assert breaches == []
+
+
+def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
+    bad = tmp_path / "bad.py"
+    bad.write_text(
+        "import rclpy\nfrom roboneuron.ros.link import RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
+    )
+    assert len(list(_reaches_ros(bad))) == 4
 
 
 def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_case():

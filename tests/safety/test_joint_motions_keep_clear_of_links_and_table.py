@@ -22,8 +22,8 @@ from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_joint_trajectory
+from roboneuron.server.motion.allow_list import ArmPaths
 from roboneuron.server.motion.exposed import profile_endpoints
-from roboneuron.server.motion.kinematics import ArmPaths
 
 COMMANDED = JOINTS[:8]
 HOME = np.array([*HOME_RAD, FINGER_OPEN_M])

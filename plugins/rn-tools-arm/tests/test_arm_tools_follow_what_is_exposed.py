@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,6 @@ from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.server.app import Application
-from roboneuron.server.motion.exposed import renamed
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -59,5 +59,5 @@ def test_no_feature_exposes_what_core_keeps_for_itself(make: Make) -> None:
     gate = make().host.gate
     action = next(e for e in gate.exposed if e.hidden)
     with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
-        gate.expose("another", [renamed(action, "mine")])
+        gate.expose("another", [replace(action, endpoint=replace(action.endpoint, name="mine"))])
     assert action in gate.exposed

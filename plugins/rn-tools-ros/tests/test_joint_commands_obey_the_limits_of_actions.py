@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from rn_testing.fakes import gantry_profile
+from rn_tools_ros.exposed_types import is_joint_limited, sent_types
 from roboneuron.contract import RobotProfile
 from roboneuron.gate.joints import joint_commands
-from roboneuron.gate.limits import sent_types
-from roboneuron.server.motion.exposed import is_joint_limited
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 JOINTS = ["slide_x", "slide_y", "slide_z", "yaw", "pitch", "roll", "finger"]

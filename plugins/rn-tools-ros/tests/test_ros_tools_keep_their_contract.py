@@ -1,15 +1,21 @@
-"""The feature keeps the contract of features, and its package that of plugins."""
+"""The feature and the command keep their contracts, and its package that of plugins."""
 
 import pytest
 
-from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
-from rn_tools_ros.plugin import FEATURE
+from rn_testing import CommandCase, CommandContract, FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_tools_ros.plugin import COMMAND, FEATURE
 
 
 class TestRosTools(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=FEATURE)
+
+
+class TestDescribe(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=COMMAND)
 
 
 class TestPackage(PackageContract):

@@ -16,7 +16,6 @@ from rn_tools_ros.plugin import FEATURE
 from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError
-from roboneuron.interfaces import load_interface
 from roboneuron.server.app import Application
 from roboneuron.server.motion.exposed import Exposed
 
@@ -37,7 +36,7 @@ def pattern(text: str = "") -> Any:
 def found(kind: str, type_name: str, profile: RobotProfile | None = None) -> Exposed:
     endpoint = Endpoint(name="thing", kind=kind, topic="/rover/thing", type=type_name, summary="", rate_hz=10.0)
     return Exposed(
-        robot="rover", namespace="rover", label="thing", endpoint=endpoint, interface=load_interface(type_name),
+        robot="rover", namespace="rover", label="thing", endpoint=endpoint,
         profile=profile,
     )  # fmt: skip
 
@@ -88,7 +87,7 @@ def test_an_exposed_endpoint_of_the_same_type_lends_its_limits_which_can_only_be
         bounds={"linear.x": (-0.2, 0.2)}, stop_message="zero", min_turning_radius_m=0.4, repeat_hz=20.0,
     )  # fmt: skip
     known = Exposed(
-        robot="rover", namespace="rover", label="velocity", endpoint=own, interface=load_interface(TWIST),
+        robot="rover", namespace="rover", label="velocity", endpoint=own,
         clamp=frozenset({"linear.x"}),
     )  # fmt: skip
     made = limit(found("publish", TWIST), pattern(), [known])

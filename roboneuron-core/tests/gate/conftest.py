@@ -12,7 +12,7 @@ import pytest
 
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
 from roboneuron.gate import AllowedEndpoint, AuditLog, EmergencyStopLatch, Gate, GateRequest
-from roboneuron.interfaces import load_interface
+from roboneuron.gate.fields import filled, load_type
 
 ONE = np.ones(2)
 PROFILE = RobotProfile(
@@ -89,10 +89,21 @@ def make_gate(latch: EmergencyStopLatch, audit: AuditLog, clock: Clock) -> Calla
 
 
 def encode(type_name: str, value: dict[str, Any]) -> Any:
-    """A rosidl message; for services the request."""
-    interface: Any = load_interface(type_name)
-    part = getattr(interface, "request", interface)
-    return part.encode(value, now_ns=None)
+    """A rosidl message; for services the request. `time_from_start` may be given in seconds."""
+    ros_type = load_type(type_name)
+    return filled(getattr(ros_type, "Request", ros_type), _written_out(value))
+
+
+def _written_out(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_written_out(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    made = {name: _written_out(item) for name, item in value.items()}
+    if isinstance(made.get("time_from_start"), int | float):
+        seconds, nanoseconds = divmod(round(made["time_from_start"] * 1e9), 1_000_000_000)
+        made["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
+    return made
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from roboneuron.errors import ConfigurationError, RefusedError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
-from roboneuron.interfaces import load_message
+from roboneuron.gate.fields import filled, load_type
 
 FORWARD = {"linear": {"x": 0.2}}
 
@@ -54,7 +54,7 @@ def test_moving_needs_an_operator_and_reading_a_viewer(make_gate, ask, endpoints
 
 
 def test_another_message_type_is_refused(make_gate, ask, endpoints) -> None:
-    other = load_message("geometry_msgs/msg/Vector3").encode({}, now_ns=None)
+    other = filled(load_type("geometry_msgs/msg/Vector3"), {})
     with pytest.raises(RefusedError, match="Vector3 came"):
         make_gate().check(ask(endpoints["velocity"], messages=(other,)))
     with pytest.raises(RefusedError, match="No message"):

@@ -17,18 +17,11 @@ class Tools:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron tools`."""
-        form = parser.add_mutually_exclusive_group()
-        form.add_argument("--json", action="store_true", help="the answer of tools/list, schemas included")
-        form.add_argument("--markdown", action="store_true", help="the reference page docs/tools.md")
+        parser.add_argument("--json", action="store_true", help="the answer of tools/list, schemas included")
         connection.add_arguments(parser)
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron tools`."""
-        if arguments.markdown:
-            from roboneuron.server.reference import tools_reference  # heavy
-
-            print(tools_reference(), end="")
-            return 0
         listing = _listing(arguments)
         if arguments.json:
             print(

@@ -233,7 +233,7 @@ class WarmSwitch:
         assert slot.choice is not None
         node = f"/{slot.choice.settings.status_name}"
         assert slot.process is not None
-        return ParameterClient(self._supervisor.link, self._supervisor.changes, node, slot.process.announce)
+        return self._supervisor.parameters(node, slot.process)
 
 
 def _listeners(report: Report | None) -> dict[str, int]:

@@ -20,8 +20,7 @@ from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, Ro
 from roboneuron.gate import GateRequest
 from roboneuron.server.host import Host
 from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.requests import gate_request
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
@@ -122,9 +121,11 @@ class EndEffectorMover:
 
     def _message(self, delta: F64, gripper_open: float) -> Any:
         """An action of the contract: deltas of the TCP in the base frame, and the gripper."""
+        from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
+
         values = np.append(delta, min(1.0, max(0.0, gripper_open))).tolist()
-        dimension = {"label": ACTION_LABEL, "size": ACTION_SIZE, "stride": ACTION_SIZE}
-        return self._exposed.message.encode({"layout": {"dim": [dimension]}, "data": values}, now_ns=0)
+        dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
+        return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=values)
 
     def _move(self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event) -> EndEffectorMove:
         gate, exposed = self._gate, self._exposed

@@ -13,11 +13,9 @@ from pydantic import Field
 from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.gate.motion.joint_space import JointLimit, joint_limits, shortest_s
-from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import TRAJECTORY, Command
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import TRAJECTORY
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.schema import Derived, Schema, unknown_name
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage, Tool
 
@@ -124,14 +122,14 @@ class _JointMover:
             context,
             "move_joints",
             exposed,
-            [_message(exposed, target, duration_s)],
+            [_message(target, duration_s)],
             arguments.given(),
             joints=joints,
             dry_run=dry_run,
         )
         if asked_s is None and (slower := gate.slowdown(request)) > 1.0:
             duration_s *= slower * 1.01  # rounding
-            request = replace(request, messages=(_message(exposed, target, duration_s),))
+            request = replace(request, messages=(_message(target, duration_s),))
         if dry_run:
             verdict = gate.ask(exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
@@ -196,10 +194,17 @@ class _JointMover:
         )
 
 
-def _message(exposed: Exposed, target: Mapping[str, float], duration_s: float) -> Any:
+def _message(target: Mapping[str, float], duration_s: float) -> Any:
     """A JointTrajectory of one point."""
-    point = {"positions": list(target.values()), "time_from_start": duration_s}
-    return exposed.message.encode({"joint_names": list(target), "points": [point]}, now_ns=0)
+    from builtin_interfaces.msg import Duration  # heavy
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # heavy
+
+    seconds, nanoseconds = divmod(round(duration_s * 1e9), 1_000_000_000)
+    point = JointTrajectoryPoint(
+        positions=[float(value) for value in target.values()],
+        time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
+    )
+    return JointTrajectory(joint_names=list(target), points=[point])
 
 
 def _position(joints: JointSample, name: str) -> float:

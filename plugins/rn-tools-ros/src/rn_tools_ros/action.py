@@ -10,13 +10,14 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_tools_ros.exposed_types import action_of
+from rn_tools_ros.goals import GoalEnd, send_goal
+from rn_tools_ros.interfaces import ActionInterface
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
-from roboneuron.interfaces import ActionInterface
+from roboneuron.server.motion.exposed import gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.goals import GoalEnd
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Stage
 
@@ -50,8 +51,7 @@ class GoalResult(Judged):
 
 def goal_model(targets: Targets) -> Derived[GoalResult]:
     """The result, with the schema of the decoded one of the action."""
-    interface = targets.first.interface
-    assert isinstance(interface, ActionInterface)
+    interface = action_of(targets.first)
     own: dict[str, dict[str, Any]] = {name: {} for name in GoalResult.model_fields}
     required = [name for name in own if name != "result"]
     return Derived(model=GoalResult, properties=own | {"result": decoded_schema(interface.result)}, required=required)
@@ -69,8 +69,7 @@ class GoalSending:
     async def __call__(self, arguments: SendGoal, context: CallContext) -> GoalResult:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         exposed = self._targets.of(arguments.robot)
-        interface = exposed.interface
-        assert isinstance(interface, ActionInterface)
+        interface = action_of(exposed)
         timeout_s = arguments.timeout_s or self.timeout_s
         message = encode_argument(interface.goal, arguments.goal, "goal")
         request = gate_request(
@@ -81,8 +80,8 @@ class GoalSending:
 
         def work(stage: Stage) -> tuple[GoalEnd, _Progress]:
             progress = _Progress(interface, stage)
-            end = self._gate.send_goal(
-                exposed, request,
+            end = send_goal(
+                self._gate, exposed, request,
                 timeout_s=timeout_s, server_s=arguments.server_timeout_s, halt=halt, on_feedback=progress.take,
             )  # fmt: skip
             return end, progress

@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_tools_ros.interfaces import MessageInterface
 from roboneuron.errors import InvalidInputError
 from roboneuron.gate import Verdict
-from roboneuron.interfaces import MessageInterface
 from roboneuron.server.tool import Arguments, Result
 
 Value = dict[str, Any]
@@ -61,3 +61,11 @@ def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str)
     except InvalidInputError as error:
         path = f"{name}.{error.path}" if error.path else name
         raise InvalidInputError(f"{name}: {error.message}", hint=error.hint, path=path) from error
+
+
+def duration_s(trajectory: Any) -> float:
+    """When the last point of a JointTrajectory is reached, in seconds after it was sent."""
+    if not trajectory.points:
+        return 0.0
+    last = trajectory.points[-1].time_from_start
+    return float(last.sec + last.nanosec * 1e-9)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable
 from typing import Any
 
 from rn_tools_ros.action import GoalSending, SendGoal, goal_model
+from rn_tools_ros.exposed_types import action_of, message_of, service_of
 from rn_tools_ros.naming import tool_name
 from rn_tools_ros.publish import Delivery, Publish, Publishing
 from rn_tools_ros.read import Read, Reading, messages_model
@@ -13,7 +14,6 @@ from rn_tools_ros.schemas import hull, message_schema
 from rn_tools_ros.sequence import PublishSequence, Sequencing
 from rn_tools_ros.service import Calling, CallService, served_model
 from rn_tools_ros.targets import Targets
-from roboneuron.interfaces import ActionInterface, ServiceInterface
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import Derived, Schema
@@ -51,7 +51,7 @@ def _make(use: str, name: str, noun: str, targets: Targets, gate: MotionGate) ->
 
 
 def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
-    message = message_schema(targets.first.message, hull([e.endpoint for e in targets.endpoints]))
+    message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
@@ -66,7 +66,9 @@ def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[A
         title=f"Publish {noun}",
         description=f"{targets.describe()} {lasts}{_SENT}",
         arguments=Derived(
-            model=Publish, properties=properties, required=_required(targets, "message", targets.first.message.fields)
+            model=Publish,
+            properties=properties,
+            required=_required(targets, "message", message_of(targets.first).fields),
         ),
         result=Delivery,
         handler=Publishing(gate, targets, name),
@@ -75,7 +77,10 @@ def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[A
 
 
 def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
-    needed = [*(["message"] if targets.first.message.fields else []), *([] if targets.trajectory else ["duration_s"])]
+    needed = [
+        *(["message"] if message_of(targets.first).fields else []),
+        *([] if targets.trajectory else ["duration_s"]),
+    ]
     step: Schema = {
         "type": "object",
         "properties": {
@@ -128,8 +133,7 @@ def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]
 
 
 def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
-    interface = targets.first.interface
-    assert isinstance(interface, ServiceInterface)
+    interface = service_of(targets.first)
     request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
     return Tool(
         name=name,
@@ -147,8 +151,7 @@ def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[A
 
 
 def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
-    interface = targets.first.interface
-    assert isinstance(interface, ActionInterface)
+    interface = action_of(targets.first)
     sending = GoalSending(gate, targets, name)
     properties = {
         **targets.schema(),

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, number_fields
+from rn_tools_ros.interfaces import load_interface
 from rn_tools_ros.options import DiscoverConfig
 from rn_tools_ros.pattern_limits import OTHERS
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.gate.limits import number_fields
-from roboneuron.interfaces import load_interface
-from roboneuron.server.motion.exposed import Exposed, is_joint_limited, is_velocity_type
+from roboneuron.server.motion.exposed import Exposed
 
 
 def check_patterns(discover: Iterable[DiscoverConfig]) -> None:

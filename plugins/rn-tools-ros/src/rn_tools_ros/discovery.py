@@ -15,9 +15,7 @@ from roboneuron.config import Config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import check_endpoint
-from roboneuron.interfaces import load_interface
-from roboneuron.server.motion.exposed import Exposed, check_stop
-from roboneuron.server.motion.topic_limits import check_reserved
+from roboneuron.server.motion.exposed import Exposed, check_reserved, check_stop
 from roboneuron.supervisor.periodic import Periodic
 
 log = logging.getLogger(__name__)
@@ -104,8 +102,7 @@ class LiveGraph:
         try:
             check_endpoint(endpoint)
             bare = Exposed(
-                robot=robot, namespace=namespace, label=label, endpoint=endpoint,
-                interface=load_interface(type_name), profile=self._profile(robot),
+                robot=robot, namespace=namespace, label=label, endpoint=endpoint, profile=self._profile(robot),
             )  # fmt: skip
             known = self._known()
             check_reserved(

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
+from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
 from rn_tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
 from rn_tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_tools_ros.pattern_limits import pattern_limits
 from roboneuron.config import Config
 from roboneuron.contract import Endpoint, RobotProfile
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
 from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.interfaces import load_interface
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.motion.exposed import (
     Exposed,
-    check_stop,
-    is_joint_limited,
-    is_velocity_type,
-    profile_endpoints,
-    renamed,
-)
-from roboneuron.server.motion.topic_limits import (
     Use,
     by_topic,
     check_reserved,
-    not_looser,
+    check_stop,
+    profile_endpoints,
     same_for_each_topic,
     tightened_by,
 )
@@ -113,7 +108,7 @@ def exposure(
     shown = same_for_each_topic(drafts.values(), known)
     for exposed in shown:
         check_reserved(exposed, namespaces)
-    made = tuple(unique(not_looser(shown, configured)))
+    made = tuple(unique(_not_looser(shown, configured)))
     return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
@@ -164,13 +159,6 @@ def _merge(
         rate_hz=entry.rate_hz,
         clamp=frozenset(entry.clamp),
     )
-    stop = entry.stop_message if isinstance(entry.stop_message, str) else json.dumps(entry.stop_message)
-    if (
-        base is None
-        and "stop_message" not in entry.model_fields_set
-        and is_velocity_type(str(entry.kind), entry.type or "")
-    ):
-        stop = "zero"
     if base is None:
         missing = [key for key in ("kind", "topic", "type") if getattr(entry, key) is None]
         if missing:
@@ -178,10 +166,18 @@ def _merge(
                 f"[[expose]] {entry.name!r} of robot {robot.name!r} lacks {', '.join(missing)}.",
                 hint="Only an endpoint of the robot's profile can be named alone.",
             )
+        assert entry.type is not None
+        full = load_interface(entry.type).name
+        if entry.type != full:
+            raise ConfigurationError(f"Endpoint {entry.name!r}: write the type in full, {full}.")
+        is_bare_velocity = "stop_message" not in entry.model_fields_set and is_velocity_type(
+            str(entry.kind), entry.type
+        )
+        stop = "zero" if is_bare_velocity else _stop_text(entry, entry.type)
         bare = Endpoint(
-            name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=str(entry.type),
+            name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=entry.type,
             summary=entry.summary, stop_message=stop, repeat_hz=entry.repeat_hz or 0.0,
-            joint_limited=is_joint_limited(str(entry.kind), str(entry.type), robot.profile)
+            joint_limited=is_joint_limited(str(entry.kind), entry.type, robot.profile)
             and (entry.moves or entry.type in JOINT_TYPES),
         )  # fmt: skip
     else:
@@ -189,7 +185,7 @@ def _merge(
             base.endpoint,
             topic=entry.topic or base.endpoint.topic,
             summary=entry.summary or base.endpoint.summary,
-            stop_message=stop or base.endpoint.stop_message,
+            stop_message=_stop_text(entry, base.endpoint.type) or base.endpoint.stop_message,
             repeat_hz=base.endpoint.repeat_hz if entry.repeat_hz is None else entry.repeat_hz,
         )
     check_endpoint(bare)
@@ -198,15 +194,36 @@ def _merge(
         bare = tightened_by(bare, source.endpoint)
     bare = pattern_limits(bare, topic, patterns)
     nonfinite = frozenset(entry.nonfinite)
+    interface = load_interface(bare.type, nonfinite=nonfinite)  # raises for a path that is no float
+    if (bare.kind in ("publish", "read")) is not isinstance(interface, MessageInterface):
+        raise ConfigurationError(f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}.")
     return Exposed(
         robot=robot.name,
         namespace=robot.namespace,
         label=entry.name,
         endpoint=tighten(bare, limits),
-        interface=load_interface(bare.type, nonfinite=nonfinite),
         profile=robot.profile,
         clamp=limits.clamp,
         nonfinite=nonfinite,
         require_subscriber=entry.require_subscriber,
         moves=entry.moves,
     )
+
+
+def _stop_text(entry: ExposeConfig, type_name: str) -> str:
+    """The stop message as an `Endpoint` holds it: what agents may write in several ways is written out."""
+    given = entry.stop_message
+    if isinstance(given, str):
+        return given
+    part = load_message(type_name, nonfinite=frozenset(entry.nonfinite))
+    try:
+        return json.dumps(part.decode(part.encode(given, now_ns=None), LOSSLESS))
+    except InvalidInputError as error:
+        raise ConfigurationError(f"The stop message of {entry.name!r}: {error}") from error
+
+
+def _not_looser(drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]) -> Iterator[Exposed]:
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold more than it did."""
+    for draft in drafts:
+        same = before.get((draft.topic, draft.endpoint.kind), ())
+        yield same_for_each_topic([draft, *same], {})[0] if same else draft

@@ -8,16 +8,14 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_tools_ros.interfaces import Plain, load_message
 from rn_tools_ros.parameter_nodes import ParameterNode
 from rn_tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
+from rn_tools_ros.service_calls import Response, call
 from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.interfaces import Plain, load_interface, load_message
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.exposed import SET_PARAMETERS, Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.motion.services import Response
-from roboneuron.server.motion.topic_limits import SET_PARAMETERS
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 MOST = 100
@@ -67,11 +65,13 @@ class Setting(Parameters):
 
 
 def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
-    """The gate's entries: reading and setting of each node."""
+    """The gate's entries: the four services of each node."""
     made = []
     for node in nodes:
         for kind, type_name, end in (
-            ("read", "rcl_interfaces/msg/Parameter", "get_parameters"),
+            ("read", "rcl_interfaces/srv/ListParameters", "list_parameters"),
+            ("read", "rcl_interfaces/srv/DescribeParameters", "describe_parameters"),
+            ("read", "rcl_interfaces/srv/GetParameters", "get_parameters"),
             ("service", SET_PARAMETERS, "set_parameters"),
         ):
             endpoint = Endpoint(
@@ -85,7 +85,7 @@ def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
             made.append(
                 Exposed(
                     robot=node.robot, namespace=node.namespace, label=endpoint.name, endpoint=endpoint,
-                    interface=load_interface(type_name), moves=node.moves, hidden=True,
+                    moves=node.moves, hidden=True,
                 )
             )  # fmt: skip
     return made
@@ -103,18 +103,18 @@ class ParameterCalls:
         """Names."""
         from rcl_interfaces.srv import ListParameters as Listing  # heavy
 
-        node = self._read("list_parameters", arguments, context)
-        response = await self._ask(context, node, "list_parameters", Listing, Listing.Request(), arguments)
+        node = self._nodes[arguments.node]
+        response = await self._ask(context, "list_parameters", node, "list_parameters", Listing.Request(), arguments)
         return ParameterNames(node=node.name, names=sorted(node.names & {*response.result.names}))
 
     async def describe(self, arguments: NamedParameters, context: CallContext) -> Parameters:
         """Descriptors."""
         from rcl_interfaces.srv import DescribeParameters  # heavy
 
-        node = self._read("describe_parameters", arguments, context)
+        node = self._nodes[arguments.node]
         names = _names(node, arguments)
         request = DescribeParameters.Request(names=names)
-        response = await self._ask(context, node, "describe_parameters", DescribeParameters, request, arguments)
+        response = await self._ask(context, "describe_parameters", node, "describe_parameters", request, arguments)
         part = load_message("rcl_interfaces/msg/ParameterDescriptor")
         found: dict[str, Plain] = {
             d.name: {**part.decode(d), "type": TYPE_WORDS[d.type] if d.type < len(TYPE_WORDS) else "unknown"}
@@ -124,9 +124,9 @@ class ParameterCalls:
 
     async def get(self, arguments: NamedParameters, context: CallContext) -> Parameters:
         """Values."""
-        node = self._read("get_parameters", arguments, context)
+        node = self._nodes[arguments.node]
         names = _names(node, arguments)
-        values = await self._values(context, node, names, arguments)
+        values = await self._values(context, "get_parameters", node, names, arguments)
         return Parameters(node=node.name, parameters={n: v for n, (_, v) in values.items()})
 
     async def set(self, arguments: SetParameters, context: CallContext) -> Setting:
@@ -137,7 +137,7 @@ class ParameterCalls:
         node, wanted = self._nodes[arguments.node], arguments.parameters
         for name, value in wanted.items():
             check_bounds(node, name, value)
-        present = await self._values(context, node, list(wanted), arguments)
+        present = await self._values(context, "set_parameters", node, list(wanted), arguments)
         entries = [Parameter(name=n, value=to_value(n, present[n][0], v)) for n, v in wanted.items()]
         request = Setter.Request(parameters=entries)
         gate_entry = self._entries[f"{node.name}_set_parameters"]
@@ -147,7 +147,7 @@ class ParameterCalls:
         halt = threading.Event()
 
         def work(_: Stage) -> Response:
-            return self._gate.call(gate_entry, asked, timeout_s=arguments.timeout_s, halt=halt)
+            return call(self._gate, gate_entry, asked, arguments.timeout_s, halt)
 
         done = await context.run(work, on_cancel=halt.set)
         verdict, response = done.verdict, done.message
@@ -164,22 +164,16 @@ class ParameterCalls:
                    for e, r in zip(entries, response.results, strict=False) if not r.successful]  # fmt: skip
         if refused or len(response.results) != len(entries):
             raise RefusedError(f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}.")
-        return setting(await self._values(context, node, list(wanted), arguments))
-
-    def _read(self, tool: str, arguments: ListParameters, context: CallContext) -> ParameterNode:
-        node = self._nodes[arguments.node]
-        entry = self._entries[f"{node.name}_get_parameters"]
-        self._gate.check(gate_request(context, tool, entry, (), arguments.given()))
-        return node
+        return setting(await self._values(context, "set_parameters", node, list(wanted), arguments))
 
     async def _values(
-        self, context: CallContext, node: ParameterNode, names: Sequence[str], arguments: ListParameters
+        self, context: CallContext, tool: str, node: ParameterNode, names: Sequence[str], arguments: ListParameters
     ) -> dict[str, tuple[int, Plain]]:
         """Type and value of each. Raises InvalidInputError for a parameter that the node does not have."""
         from rcl_interfaces.srv import GetParameters  # heavy
 
         request = GetParameters.Request(names=names)
-        response = await self._ask(context, node, "get_parameters", GetParameters, request, arguments)
+        response = await self._ask(context, tool, node, "get_parameters", request, arguments)
         if len(response.values) != len(names):
             unknown = ", ".join(names[:5])
             raise InvalidInputError(f"{node.node} does not have all of: {unknown}.", hint="See list_parameters.")
@@ -189,17 +183,19 @@ class ParameterCalls:
         return {n: (int(v.type), to_plain(v)) for n, v in zip(names, response.values, strict=True)}
 
     async def _ask(
-        self, context: CallContext, node: ParameterNode, end: str, ros_type: Any, request: Any,
+        self, context: CallContext, tool: str, node: ParameterNode, service: str, message: Any,
         arguments: ListParameters,
     ) -> Any:  # fmt: skip
+        """The response of a service that only reads."""
+        entry = self._entries[f"{node.name}_{service}"]
+        request = gate_request(context, tool, entry, [message], arguments.given())
         halt = threading.Event()
-
-        def work(_: Stage) -> Any:
-            return self._gate.read_parameters(
-                ros_type, f"{node.node}/{end}", request, timeout_s=arguments.timeout_s, halt=halt
-            )
-
-        return await context.run(work, on_cancel=halt.set)
+        done = await context.run(
+            lambda _: call(self._gate, entry, request, arguments.timeout_s, halt), on_cancel=halt.set
+        )
+        if done.message is None:
+            raise RefusedError(done.verdict.reason)
+        return done.message
 
 
 def _names(node: ParameterNode, arguments: NamedParameters) -> Sequence[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from rn_tools_ros.options import ExposeConfig
 from roboneuron.errors import ConfigurationError
-from roboneuron.server.motion.topic_limits import check_owner, is_module
+from roboneuron.server.motion.exposed import check_owner, is_module
 
 _NAME = re.compile(r"[!-~]{1,200}")
 

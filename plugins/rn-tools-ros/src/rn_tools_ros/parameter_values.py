@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from rn_tools_ros.interfaces import Plain, load_message
+from rn_tools_ros.interfaces.refusal import describe_value
 from rn_tools_ros.parameter_nodes import ParameterNode, check_parameter_name
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
-from roboneuron.interfaces import Plain, load_message
-from roboneuron.interfaces.refusal import describe_value
 
 _FIELDS = {
     1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",

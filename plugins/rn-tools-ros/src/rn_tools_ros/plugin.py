@@ -1,6 +1,6 @@
 """What this package offers; standard library and descriptors only."""
 
-from roboneuron import FeatureSpec, hookimpl
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="tools-ros",
@@ -10,9 +10,21 @@ FEATURE = FeatureSpec(
     sections=("direct", "expose", "discover"),
 )
 """Descriptor of the feature."""
+COMMAND = CommandSpec(
+    name="describe",
+    summary="show a ROS interface as agents see it, or list the installed ones",
+    target="rn_tools_ros.describe:Describe",
+)
+"""Descriptor of the command."""
 
 
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
     return (FEATURE,)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)

@@ -9,14 +9,13 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
+from rn_tools_ros.calls import duration_s as trajectory_s
+from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Step
-from roboneuron.server.motion.ending import Sent
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import duration_s as trajectory_s
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import CallContext, Result, Stage
 
 
@@ -88,13 +87,13 @@ class Publishing:
 
 def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -> Step:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
-    message = encode_argument(exposed.message, value, "message")
+    message = encode_argument(message_of(exposed), value, "message")
     return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
 
 
 def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
     """Whether the message has a header whose stamp the agent left to us."""
-    if not any(field.name == "header" for field in exposed.message.fields):
+    if not any(field.name == "header" for field in message_of(exposed).fields):
         return False
     header = value.get("header")
     return not (isinstance(header, Mapping) and header.get("stamp") is not None)

@@ -9,12 +9,12 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.calls import RobotCall, Value
+from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Picture, Reply, Result
 
@@ -45,7 +45,7 @@ def messages_model(targets: Targets) -> Derived[Messages]:
     """The result, with the schema of the decoded messages."""
     own: dict[str, dict[str, Any]] = {name: {} for name in Messages.model_fields}
     return Derived(
-        model=Messages, properties=own | {"messages": {"items": decoded_schema(targets.first.message)}},
+        model=Messages, properties=own | {"messages": {"items": decoded_schema(message_of(targets.first))}},
         required=list(own),
     )  # fmt: skip
 
@@ -68,7 +68,7 @@ class Reading:
         )
 
     def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
-        part = exposed.message
+        part = message_of(exposed)
         got = self._gate.read(exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
             who = "Nobody publishes" if not got.publishers else f"{got.publishers} publish, but nothing came on"
@@ -98,7 +98,7 @@ def _pictures(exposed: Exposed, messages: list[Any]) -> tuple[tuple[Picture, ...
     notes: list[str] = []
     for message in messages:
         try:
-            made = exposed.message.pictures(message)
+            made = message_of(exposed).pictures(message)
         except InvalidInputError as error:
             notes.append(str(error))
             continue

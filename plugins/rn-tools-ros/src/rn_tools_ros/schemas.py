@@ -6,9 +6,9 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+from rn_tools_ros.interfaces import Array, FieldType, Message, MessageInterface, Nested, Scalar
+from rn_tools_ros.interfaces.summary import SUMMARIES
 from roboneuron.contract import Endpoint
-from roboneuron.interfaces import Array, FieldType, Message, MessageInterface, Nested, Scalar
-from roboneuron.interfaces.summary import SUMMARIES
 
 Schema = dict[str, Any]
 _DEPTH = 4

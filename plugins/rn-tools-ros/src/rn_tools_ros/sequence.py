@@ -8,16 +8,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rn_tools_ros.calls import PublishingCall, Value
+from rn_tools_ros.calls import PublishingCall, Value, duration_s
+from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.publish import Delivery, encode_step, to_delivery
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Step
-from roboneuron.server.motion.ending import Sent
-from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.joint_commands import duration_s
-from roboneuron.server.motion.requests import gate_request
 from roboneuron.server.tool import Arguments, CallContext, Stage
 
 MAX_STEPS = 500
@@ -76,7 +74,7 @@ class Sequencing:
 
     def _step(self, exposed: Exposed, entry: SequenceStep, index: int) -> Step:
         try:
-            if exposed.message.fields and "message" not in entry.model_fields_set:
+            if message_of(exposed).fields and "message" not in entry.model_fields_set:
                 raise InvalidInputError("Argument 'message' is missing.", path="message")
             if self._targets.trajectory and entry.duration_s is None:
                 step = encode_step(exposed, entry.message, 0.0)

@@ -8,12 +8,12 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_tools_ros.exposed_types import service_of
 from rn_tools_ros.schemas import decoded_schema
+from rn_tools_ros.service_calls import Response, call
 from rn_tools_ros.targets import Targets
-from roboneuron.interfaces import ServiceInterface
+from roboneuron.server.motion.exposed import gate_request
 from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.requests import gate_request
-from roboneuron.server.motion.services import Response
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Stage
 
@@ -37,8 +37,7 @@ class Served(Judged):
 
 def served_model(targets: Targets) -> Derived[Served]:
     """The result, with the schema of the response; a dry run has none."""
-    interface = targets.first.interface
-    assert isinstance(interface, ServiceInterface)
+    interface = service_of(targets.first)
     own: dict[str, dict[str, Any]] = {name: {} for name in Served.model_fields}
     required = [name for name in own if name != "response"]
     return Derived(model=Served, properties=own | {"response": decoded_schema(interface.response)}, required=required)
@@ -55,8 +54,7 @@ class Calling:
     async def __call__(self, arguments: CallService, context: CallContext) -> Served:
         """Raises InvalidInputError, RefusedError, NotReadyError."""
         exposed = self._targets.of(arguments.robot)
-        interface = exposed.interface
-        assert isinstance(interface, ServiceInterface)
+        interface = service_of(exposed)
         message = encode_argument(interface.request, arguments.request, "request")
         request = gate_request(
             context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run
@@ -64,7 +62,7 @@ class Calling:
         halt = threading.Event()
 
         def work(_: Stage) -> Response:
-            return self._gate.call(exposed, request, timeout_s=arguments.timeout_s, halt=halt)
+            return call(self._gate, exposed, request, arguments.timeout_s, halt)
 
         response = await context.run(work, on_cancel=halt.set)
         decoded: dict[str, Any] = (

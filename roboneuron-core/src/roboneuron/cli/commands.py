@@ -39,7 +39,6 @@ class CommandModule(Protocol):
 COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
-    "describe": Command("roboneuron.cli.describe", "show a ROS interface as agents see it, or list the installed ones"),
     "config-check": Command("roboneuron.cli.config", "say what is wrong with a roboneuron.toml, as `serve` would"),
     "plugins-list": Command("roboneuron.cli.plugins", "list the installed plugins and what they offer"),
 }

@@ -1,16 +1,27 @@
-"""Reading and changing fields of rosidl messages by dotted path, through arrays, without knowing the type."""
+"""Fields of rosidl messages: by dotted path through arrays, read, changed and filled without knowing the type."""
 
 from __future__ import annotations
 
 import functools
+import importlib
 import math
+import re
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from roboneuron.errors import ConfigurationError, InvalidInputError
+
+FLOATS = frozenset({"float", "double"})
+INTEGERS = frozenset(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+"""Numbers as rosidl writes their types; `octet` and `boolean` are none."""
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9]*)")
+_ELEMENT = re.compile(r"(?:sequence<)?([\w/]+)")
 _FEW = 64
 
 
@@ -32,6 +43,77 @@ def type_name_of(message: Any) -> str:
 def is_message(value: Any) -> bool:
     """Whether this is a rosidl message."""
     return hasattr(type(value), "get_fields_and_field_types")
+
+
+@functools.cache
+def load_type(name: str) -> Any:
+    """The rosidl class called "package/msg/Name", "package/srv/Name" or "package/action/Name".
+
+    Raises:
+        ConfigurationError: the name is written in another way, or nothing installed has it.
+    """
+    parts = _TYPE_NAME.fullmatch(name)
+    if parts is None:
+        raise ConfigurationError(f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action.")
+    package, kind, word = parts.groups()
+    spec = find_spec(package)  # nothing but packages of interfaces is imported
+    folders = (spec.submodule_search_locations if spec is not None else None) or ()
+    found = None
+    if any((Path(folder) / kind / "__init__.py").is_file() for folder in folders):
+        found = getattr(importlib.import_module(f"{package}.{kind}"), word, None)
+    if found is None:
+        raise ConfigurationError(f"No installed interface is called {name!r}.", hint=f"Install the package {package}.")
+    return found
+
+
+def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield each field of a message class at every depth: dotted path without indices, type of it or its elements."""
+    for name, text in ros_type.get_fields_and_field_types().items():
+        here = f"{path}.{name}" if path else name
+        element = _element_of(text)
+        yield here, element
+        if "/" in element:
+            yield from walk_fields(_nested(element), here)
+
+
+def _element_of(text: str) -> str:
+    """ "double" of "double", "sequence<double, 3>" and "double[9]"."""
+    found = _ELEMENT.match(text)
+    assert found is not None
+    return found[1]
+
+
+def _nested(element: str) -> Any:
+    return load_type(element.replace("/", "/msg/"))
+
+
+def filled(ros_type: Any, values: Any) -> Any:
+    """A message that holds the values of a JSON object; fields that it does not name are zero.
+
+    Raises:
+        InvalidInputError: there is no such field, or it cannot hold the value.
+    """
+    message = ros_type(check_fields=True)
+    types = message.get_fields_and_field_types()
+    if not isinstance(values, Mapping) or not values.keys() <= types.keys():
+        raise InvalidInputError(f"{type_name_of(message)} takes an object with fields out of: {', '.join(types)}.")
+    for name, value in values.items():
+        element = _element_of(types[name])
+        try:
+            is_array = types[name] != element and not types[name].startswith(("string<", "wstring<"))
+            made = [_converted(element, item) for item in value] if is_array else _converted(element, value)
+            setattr(message, name, made)
+        except (AssertionError, TypeError, ValueError, OverflowError) as error:
+            raise InvalidInputError(f"{name} of {type_name_of(message)} cannot be {str(value)[:60]}.") from error
+    return message
+
+
+def _converted(element: str, value: Any) -> Any:
+    if "/" in element:
+        return filled(_nested(element), value)
+    if element in FLOATS and not isinstance(value, bool):
+        return float(value)
+    return bytes([value]) if element == "octet" else value
 
 
 def read_number(message: Any, path: str) -> float:

@@ -10,24 +10,25 @@ from typing import Any
 
 from roboneuron.contract import TWIST_FIELDS, Endpoint, check_twist
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate.fields import find_nonfinite, find_outside, read_number, type_name_of
-from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
-from roboneuron.interfaces import (
-    ActionInterface,
-    Array,
-    FieldType,
-    Message,
-    Nested,
-    Scalar,
-    ServiceInterface,
-    load_interface,
+from roboneuron.gate.fields import (
+    FLOATS,
+    INTEGERS,
+    find_nonfinite,
+    find_outside,
+    load_type,
+    read_number,
+    type_name_of,
+    walk_fields,
 )
+from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
 
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
 _TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
-_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration", "std_msgs/msg/Header")
-_SUFFIX = {"service": "_Request", "action": "_Goal"}
+_PART = {"srv": "Request", "action": "Goal"}
+"""What is sent of a type that is no message."""
+PARAMETER_QUERIES = frozenset(f"rcl_interfaces/srv/{verb}Parameters" for verb in ("Get", "List", "Describe"))
+"""Services that change nothing: they may be endpoints of kind "read"."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,64 +86,26 @@ def check_endpoint(endpoint: Endpoint) -> None:
         raise ConfigurationError(f"{where}: {endpoint.topic[:80]!r} is not a topic name.")
     if not (math.isfinite(endpoint.rate_hz) and endpoint.rate_hz >= 0.0):
         raise ConfigurationError(f"{where}: rate_hz = {endpoint.rate_hz} must be 0 or more.")
-    message = _sent_message(endpoint)
-    if endpoint.type != load_interface(endpoint.type).name:
-        raise ConfigurationError(f"{where}: write the type in full, {load_interface(endpoint.type).name}.")
-    numbers = {path: field.type for path, field in message.walk() if _is_number(field.type)}
+    ros_type = sent_type(endpoint)
+    numbers = {path: name for path, name in walk_fields(ros_type) if name in FLOATS | INTEGERS}
     for path, (low, high) in endpoint.bounds.items():
         if path not in numbers:
             raise ConfigurationError(
-                f"{where}: {message.type_name} has no number {path!r}.",
+                f"{where}: {endpoint.type} has no number {path!r}.",
                 hint=f"Numbers: {', '.join(sorted(numbers)[:20])}.",
             )
-        if not low <= high or (_is_integer(numbers[path]) and not _are_integers(low, high)):
+        if not low <= high or (numbers[path] in INTEGERS and not _are_integers(low, high)):
             raise ConfigurationError(f"{where}: the bounds of {path} are [{low}, {high}].")
 
 
-def number_fields(endpoint: Endpoint) -> list[str]:
-    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move nothing."""
-    numbers: list[str] = []
-    times: list[str] = []
-    for path, part in _sent_message(endpoint).walk():
-        element = part.type.element if isinstance(part.type, Array) else part.type
-        if isinstance(element, Nested) and element.message.type_name in _TIMES:
-            times.append(f"{path}.")
-        elif _is_number(part.type) and not path.startswith(tuple(times)):
-            numbers.append(path)
-    return numbers
-
-
-def sent_types(kind: str, type_name: str) -> set[str]:
-    """Types of the messages within what an endpoint of this kind and type is sent."""
-    message = _sent_message(Endpoint(name="", kind=kind, topic="", type=type_name, summary=""))
-    elements = (part.type.element if isinstance(part.type, Array) else part.type for _, part in message.walk())
-    return {element.message.type_name for element in elements if isinstance(element, Nested)}
-
-
-def _sent_message(endpoint: Endpoint) -> Message:
-    interface = load_interface(endpoint.type)
-    kinds = {"service": ServiceInterface, "action": ActionInterface}
-    expected = kinds.get(endpoint.kind)
-    if isinstance(interface, ServiceInterface | ActionInterface):
-        if expected is None or not isinstance(interface, expected):
-            raise ConfigurationError(f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {interface.name}.")
-        part = interface.request if isinstance(interface, ServiceInterface) else interface.goal
-        return part.message
-    if expected is not None:
-        raise ConfigurationError(f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {interface.name}.")
-    return interface.message
-
-
-def _is_number(field_type: FieldType) -> bool:
-    element = field_type.element if isinstance(field_type, Array) else field_type
-    if not isinstance(element, Scalar) or element.ros == "octet":
-        return False
-    return element.is_float or element.is_integer
-
-
-def _is_integer(field_type: FieldType) -> bool:
-    element = field_type.element if isinstance(field_type, Array) else field_type
-    return isinstance(element, Scalar) and element.is_integer
+def sent_type(endpoint: Endpoint) -> Any:
+    """The rosidl class of what an endpoint is sent: its message, request or goal. Raises ConfigurationError."""
+    ros_type = load_type(endpoint.type)
+    kind = endpoint.type.split("/")[1]
+    is_query = endpoint.kind == "read" and endpoint.type in PARAMETER_QUERIES
+    if kind != {"service": "srv", "action": "action"}.get(endpoint.kind, "msg") and not is_query:
+        raise ConfigurationError(f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {endpoint.type}.")
+    return getattr(ros_type, _PART[kind]) if kind in _PART else ros_type
 
 
 def _are_integers(low: float, high: float) -> bool:
@@ -152,7 +115,8 @@ def _are_integers(low: float, high: float) -> bool:
 
 def check_type(endpoint: Endpoint, message: Any) -> None:
     """Raise RefusedError unless the message is of the endpoint's type."""
-    came, expected = type_name_of(message), endpoint.type + _SUFFIX.get(endpoint.kind, "")
+    part = _PART.get(endpoint.type.split("/")[1])
+    came, expected = type_name_of(message), f"{endpoint.type}_{part}" if part else endpoint.type
     if came != expected:
         raise RefusedError(f"A {came} came for endpoint {endpoint.name!r}, which takes {expected}.")
 

@@ -7,7 +7,6 @@ import time
 from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER
 from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.supervisor import Supervisor
 
 _PARAMETER_S = 5.0
@@ -30,7 +29,7 @@ def instruct(supervisor: Supervisor, text: str, timeout_s: float) -> tuple[Repor
     assert view.choice is not None
     assert view.process is not None
     node = f"/{view.choice.settings.status_name}"
-    parameters = ParameterClient(supervisor.link, supervisor.changes, node, view.process.announce)
+    parameters = supervisor.parameters(node, view.process)
     refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
     if refused:
         raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")

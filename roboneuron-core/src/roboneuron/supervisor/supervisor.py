@@ -17,6 +17,7 @@ from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
+from roboneuron.supervisor.parameters import ParameterClient
 from roboneuron.supervisor.process import KILL_S, ModuleProcess
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 from roboneuron.supervisor.view import ModuleView, Stopped
@@ -73,6 +74,10 @@ class Supervisor:
     def link(self) -> RosLink:
         """The ROS node of the control plane; opened on first use."""
         return self._launcher.connection.link()
+
+    def parameters(self, node: str, process: ModuleProcess) -> ParameterClient:
+        """The parameters of a module: the absolute name of its node, and its process."""
+        return ParameterClient(self.link, self.changes, node, process.announce)
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.

@@ -29,9 +29,7 @@ from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, Robot
 
 PUBLIC = ("contract", "errors", "plugins")
 """Packages of the core that plugins import, beside what `roboneuron` itself lists."""
-FOR_FEATURES = (
-    "cli", "config", "gate", "interfaces", "log_files", "modules", "planning", "server", "supervisor"
-)  # fmt: skip
+FOR_FEATURES = ("cli", "config", "gate", "log_files", "modules", "planning", "server", "supervisor")
 """What packages with features or commands import besides."""
 FOR_COMMANDS = ("ros",)
 """What packages with commands import besides: a command joins the ROS graph by itself."""

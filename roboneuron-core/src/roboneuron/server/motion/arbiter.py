@@ -6,13 +6,58 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
 
-from roboneuron.errors import RefusedError, StateError
+from roboneuron.errors import RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import Gate
 from roboneuron.server.motion.exposed import Exposed
 
 POLL_S = 0.01
 """How often lasting motion looks at the latch; together with one publish it is well within 50 ms."""
+
+
+class Ending(StrEnum):
+    """What brought a motion to its end; the values are words of messages."""
+
+    NONE = "nothing could be sent to end it"
+    STOP_MESSAGE = "the stop message was sent"
+    HOLD = "the joints were told to hold"
+    CONTROL = "control holds the arm"
+    GOAL_ENDED = "the goal was ended"
+    GOAL_UNCONFIRMED = "the goal was asked to end, but did not confirm"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MotionEnd:
+    """How a motion ended.
+
+    Attributes:
+        after_s: how long it lasted.
+        total_s: how long it was to last; None when nobody knows.
+        ending: what ended it.
+        details: more about that, such as where the arm is.
+        cause: why it ended early; None when it came to its end.
+        sent: messages, the one that ended it included.
+    """
+
+    after_s: float
+    total_s: float | None = None
+    ending: Ending = Ending.NONE
+    details: str = ""
+    cause: RoboNeuronError | None = None
+    sent: int = 0
+
+    def check(self) -> None:
+        """Raise an error of the cause's kind that tells how the motion ended, unless it came to its end."""
+        if self.cause is None:
+            return
+        total = "" if self.total_s is None else f" of {self.total_s:.2f}"
+        details = f" ({self.details})" if self.details else ""
+        raise type(self.cause)(
+            f"Ended after {self.after_s:.2f}{total} s, {self.ending}{details}: {self.cause.message}",
+            hint=self.cause.hint,
+        ) from self.cause
 
 
 class Motion:

@@ -3,64 +3,72 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.contract import JointSample, Pose
-from roboneuron.errors import StateError
-from roboneuron.gate import GateRequest, Verdict
-from roboneuron.server.motion import delivery, goals, services
-from roboneuron.server.motion.access import Access
+from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.gate import Gate, GateRequest, Verdict
+from roboneuron.server.motion import delivery
 from roboneuron.server.motion.allow_list import AllowList
-from roboneuron.server.motion.delivery import Command, Step
-from roboneuron.server.motion.ending import Sent
+from roboneuron.server.motion.arbiter import Ending, Motion, MotionArbiter
+from roboneuron.server.motion.delivery import Command, Sent, Step
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.goals import GoalEnd
-from roboneuron.server.motion.services import Response
+from roboneuron.server.motion.traffic import Traffic
 from roboneuron.server.tool import Stage
 
 if TYPE_CHECKING:
+    from unique_identifier_msgs.msg import UUID
+
+    from roboneuron.contract import JointSample
     from roboneuron.gate.motion import PredictedArm
+    from roboneuron.ros.link import Call
     from roboneuron.ros.reader import Reading
+    from roboneuron.ros.writer import TopicWriter
+
+_LATE_S = 0.25
+"""After a longer wait for a subscriber the gate is asked again."""
 
 
 class MotionGate:
     """What moves a robot, for features. Usable from any thread; what blocks says so.
 
-    Every message passes the gate before it is sent. Motion that lasts has its robot to itself, and is ended by its
-    stop message or a hold when the call is cancelled, a policy starts, or the emergency stop is pressed.
+    Every message, request and goal passes the gate before it is sent. Motion that lasts has its robot to itself, and is
+    ended by its stop message or a hold when the call is cancelled, a policy starts, or the emergency stop is pressed.
+
+    Attributes:
+        max_duration_s: longest motion, sequence or goal that a feature may ask for [s].
+        expose, on_change: see `AllowList`.
+        check, slowdown: see `Gate`; requests that send nothing, such as reading, are only checked.
+        check_free, claim, end_motions: see `MotionArbiter`.
+        newest_joints, joints, ee_pose: what is measured, see `Traffic`.
     """
 
-    def __init__(self, access: Access, allow_list: AllowList, max_duration_s: float) -> None:
-        self._access = access
+    def __init__(
+        self, gate: Gate, arbiter: MotionArbiter, traffic: Traffic, allow_list: AllowList, max_duration_s: float
+    ) -> None:
+        self._gate = gate
+        self._traffic = traffic
         self._allow_list = allow_list
         self.max_duration_s = max_duration_s
-        """Longest motion, sequence or goal that a feature may ask for [s]."""
+        self.expose, self.on_change = allow_list.expose, allow_list.on_change
+        self.check, self.slowdown = gate.check, gate.slowdown
+        self.check_free, self.claim, self.end_motions = arbiter.check_free, arbiter.claim, arbiter.end_all
+        self.newest_joints, self.joints, self.ee_pose = traffic.newest_joints, traffic.joints, traffic.ee_pose
 
     @property
     def exposed(self) -> tuple[Exposed, ...]:
         """What agents may use now, by any feature; the action topic of an arm is among it, hidden."""
         return self._allow_list.exposed
 
-    def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
-        """Have these endpoints of a feature and no others of it; see `AllowList.expose`."""
-        self._allow_list.expose(owner, endpoints, instead_of_profile=instead_of_profile)
-
-    def on_change(self, listener: Callable[[], object]) -> None:
-        """Call `listener` after each change of `exposed`, from the thread that made it."""
-        self._allow_list.on_change(listener)
-
-    def check(self, request: GateRequest) -> Verdict:
-        """Judge a request that sends nothing, such as reading; it is written down. Raises RefusedError."""
-        return self._access.gate.check(request)
-
     def ask(self, exposed: Exposed, request: GateRequest) -> Verdict:
         """Whether a request could be carried out now, and if not, by which rule. `request` is a dry run."""
-        return self._access.ask(exposed, request)
-
-    def check_free(self, exposed: Exposed) -> None:
-        """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
-        self._access.arbiter.check_free(exposed)
+        try:
+            self.check_free(exposed)
+        except RefusedError as error:
+            return Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership")
+        return self._gate.check(request)
 
     def predicted(self, exposed: Exposed, joints: JointSample) -> PredictedArm:
         """An arm at `joints` that follows actions as control would make it follow them; nothing is sent. Close it.
@@ -69,22 +77,6 @@ class MotionGate:
             ConfigurationError, MissingDependencyError, PluginError: there is no controller for it.
         """
         return self._allow_list.predicted(exposed, joints)
-
-    def slowdown(self, request: GateRequest) -> float:
-        """How many times the request's time the TCP needs to keep to its speeds; see `Gate.slowdown`."""
-        return self._access.gate.slowdown(request)
-
-    def newest_joints(self, exposed: Exposed) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones; never blocks."""
-        return self._access.traffic.newest_joints(exposed)
-
-    def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
-        """Like `newest_joints`, and waits for a first measurement; blocks."""
-        return self._access.traffic.joints(exposed, timeout_s)
-
-    def ee_pose(self, exposed: Exposed, timeout_s: float) -> Pose:
-        """The measured pose of the TCP of the endpoint's robot, in its base frame; blocks. Raises NotReadyError."""
-        return self._access.traffic.ee_pose(exposed, timeout_s)
 
     def read(self, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event) -> Reading:
         """The latched message of a topic, or the next ones; blocks. `check` the request first.
@@ -95,18 +87,94 @@ class MotionGate:
         """
         from roboneuron.ros.reader import Cancelled, read_messages  # heavy
 
-        part = exposed.message
         try:
             return read_messages(
-                self._access.traffic.link(), part.ros_type, exposed.endpoint.type, exposed.topic,
+                self._traffic.link(), exposed.ros_type, exposed.endpoint.type, exposed.topic,
                 count=count, timeout_s=timeout_s, cancelled=halt,
             )  # fmt: skip
         except Cancelled:
             raise StateError("The call was cancelled.") from None
 
+    def is_served(self, exposed: Exposed) -> bool:
+        """Whether somebody serves the service or action, so that the answer comes; see `Traffic.is_served`."""
+        return self._traffic.is_served(exposed)
+
+    def send_request(
+        self, exposed: Exposed, request: GateRequest, on_answer: Callable[[], None]
+    ) -> tuple[Verdict, Call | None]:
+        """Send the request to a service at once, if the gate allows it.
+
+        Args:
+            exposed: which service.
+            request: holds the one message.
+            on_answer: called when the answer is there, on the thread of the ROS node.
+
+        Returns:
+            The answer of the gate, and the call on its way; None when nothing was sent.
+
+        Raises:
+            RefusedError: the gate, or somebody else moves the robot.
+        """
+        is_query = exposed.endpoint.kind == "read"  # it changes nothing, so it is answered in a dry run too
+        if not is_query:
+            self.check_free(exposed)
+        verdict = self._gate.check(request)
+        if not (verdict.allowed if is_query else verdict.may_send):
+            return verdict, None
+        call = self._traffic.link().call(exposed.ros_type, exposed.topic, request.messages[0], on_answer)
+        return verdict, call
+
+    def send_goal(
+        self, exposed: Exposed, request: GateRequest, motion: Motion, goal_id: UUID, on_feedback: Callable[[Any], None]
+    ) -> tuple[Verdict, Any]:
+        """Send the goal to an action at once, if the gate allows it.
+
+        Args:
+            exposed: which action.
+            request: holds the one goal.
+            motion: the robot's motion, from `claim`.
+            goal_id: as it is cancelled by, for as long as it runs: `cancel_goal` passes no gate.
+            on_feedback: called with each feedback message, on the thread of the ROS node.
+
+        Returns:
+            The answer of the gate, and rclpy's future of the goal handle; None when nothing was sent.
+
+        Raises:
+            RefusedError: the gate; also when the emergency stop was pressed.
+            StateError: the motion has to end.
+        """
+        motion.check()
+        verdict = self._gate.check(request)
+        if not verdict.may_send:
+            return verdict, None
+        client = self._traffic.action_client(exposed)
+        return verdict, client.send_goal_async(
+            request.messages[0], feedback_callback=lambda message: on_feedback(message.feedback), goal_uuid=goal_id
+        )
+
+    def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
+        """Ask the action to end a goal, by its id: also when the answer to the goal was lost. Returns at once."""
+        self._traffic.cancel_goal(exposed, goal_id)
+
     def publish_now(self, exposed: Exposed, request: GateRequest) -> Sent | None:
         """Send one message without blocking; None when something has to be waited for first: then `publish` it."""
-        return delivery.publish_now(self._access, exposed, request)
+        writer = self._traffic.known_writer(exposed)
+        if writer is None or request.dry_run or exposed.endpoint.joint_limited:
+            return None
+        matched = writer.matched()
+        if not matched:
+            return None
+        started_s = time.monotonic()
+        self.check_free(exposed)
+        verdict = self._gate.check(request)
+        if verdict.may_send:
+            writer.publish(request.messages[0])
+        return Sent(
+            verdict=verdict,
+            messages=int(verdict.may_send),
+            subscribers=matched,
+            duration_s=time.monotonic() - started_s,
+        )
 
     def publish(
         self, exposed: Exposed, request: GateRequest, steps: Sequence[Step], *, timeout_s: float, stage: Stage,
@@ -125,17 +193,37 @@ class MotionGate:
         Raises:
             RefusedError, NotReadyError, StateError, ConfigurationError: as `play`.
         """
-        if not any(step.duration_s for step in steps):
-            return delivery.publish(self._access, exposed, request, steps[0], timeout_s)
-        commands = delivery.commands_of(steps, exposed.endpoint.repeat_hz, stage)
-        total_s = sum(step.duration_s for step in steps)
-        return self.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
+        if any(step.duration_s for step in steps):
+            commands = delivery.commands_of(steps, exposed.endpoint.repeat_hz, stage)
+            total_s = sum(step.duration_s for step in steps)
+            return self.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
+        request = self._with_joints(exposed, request, timeout_s)
+        if request.dry_run:
+            return self._asked(exposed, request)
+        self.check_free(exposed)
+        verdict = self._gate.check(request)
+        writer = self._traffic.writer(exposed)
+        if not verdict.may_send:
+            return Sent(verdict=verdict, subscribers=writer.listening())
+        matched = self._connect(exposed, writer, request, timeout_s, owned=False)
+        started_s = time.monotonic()
+        delivery.send(writer, steps[0].message, steps[0].stamped)
+        return Sent(verdict=verdict, messages=1, subscribers=matched, duration_s=time.monotonic() - started_s)
 
     def play(
         self, exposed: Exposed, request: GateRequest, commands: Iterable[Command], *, total_s: float, timeout_s: float,
         halt: threading.Event, details: Callable[[], str] = lambda: "",
     ) -> Sent:  # fmt: skip
-        """Move the robot by commands that are asked for one by one; blocks. See `delivery.play`.
+        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its end; blocks.
+
+        Args:
+            exposed: through which endpoint.
+            request: holds the messages that are known beforehand.
+            commands: asked for the next one when it is due; what it raises ends the motion.
+            total_s: how long the motion is to last, for messages.
+            timeout_s: longest wait for a subscriber.
+            halt: set when the call is cancelled.
+            details: more to say of a motion that ended early.
 
         Raises:
             RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended it.
@@ -143,31 +231,53 @@ class MotionGate:
             StateError: cancelled, or a policy took over.
             ConfigurationError: the topic carries another type.
         """
-        return delivery.play(
-            self._access, exposed, request, commands,
-            total_s=total_s, timeout_s=timeout_s, halt=halt, details=details,
-        )  # fmt: skip
+        request = self._with_joints(exposed, request, timeout_s)
+        if request.dry_run:
+            return self._asked(exposed, request)
+        with self.claim(exposed, request.tool, halt) as motion:
+            verdict = self._gate.check(request)
+            writer = self._traffic.writer(exposed)
+            if not verdict.may_send:
+                return Sent(verdict=verdict, subscribers=writer.listening())
+            matched = self._connect(exposed, writer, request, timeout_s, owned=True)
+            try:
+                end = delivery.run(
+                    motion, writer, self._gate, request, commands,
+                    joints=lambda: self.newest_joints(exposed), total_s=total_s, details=details,
+                )  # fmt: skip
+            finally:
+                self._gate.release(request)
+            end.check()
+            return Sent(
+                verdict=verdict,
+                messages=end.sent,
+                subscribers=matched,
+                duration_s=end.after_s,
+                stopped=end.ending in (Ending.STOP_MESSAGE, Ending.HOLD),
+            )
 
-    def call(self, exposed: Exposed, request: GateRequest, *, timeout_s: float, halt: threading.Event) -> Response:
-        """Call a service; blocks. Raises as `services.call`."""
-        return services.call(self._access, exposed, request, timeout_s, halt)
+    def _with_joints(self, exposed: Exposed, request: GateRequest, timeout_s: float) -> GateRequest:
+        if exposed.endpoint.joint_limited and request.joints is None:
+            return replace(request, joints=self.joints(exposed, timeout_s))
+        return request
 
-    def read_parameters(
-        self, ros_type: Any, name: str, message: Any, *, timeout_s: float, halt: threading.Event
-    ) -> Any:
-        """Ask a parameter service that changes nothing; blocks. `check` the request first. Raises as `call`."""
-        return services.read_parameters(self._access, ros_type, name, message, timeout_s, halt)
+    def _asked(self, exposed: Exposed, request: GateRequest) -> Sent:
+        return Sent(verdict=self.ask(exposed, request), subscribers=self._traffic.writer(exposed).listening())
 
-    def send_goal(
-        self, exposed: Exposed, request: GateRequest, *, timeout_s: float, server_s: float, halt: threading.Event,
-        on_feedback: Callable[[Any], None],
-    ) -> GoalEnd:  # fmt: skip
-        """Send a goal and wait for its result; blocks. See `goals.send_goal`."""
-        return goals.send_goal(
-            self._access, exposed, request,
-            timeout_s=timeout_s, server_s=server_s, halt=halt, on_feedback=on_feedback,
-        )  # fmt: skip
-
-    def end_motions(self, reason: str, timeout_s: float, which: Callable[[Exposed], bool]) -> bool:
-        """End motions through the endpoints that are meant and wait; False when one did not end in time."""
-        return self._access.arbiter.end_all(reason, timeout_s, which)
+    def _connect(
+        self, exposed: Exposed, writer: TopicWriter, request: GateRequest, timeout_s: float, *, owned: bool
+    ) -> int:
+        started_s = time.monotonic()
+        needed = exposed.require_subscriber
+        matched = writer.connect(timeout_s if needed or writer.listening() else 0.0)
+        if needed and not matched:
+            raise NotReadyError(
+                f"Nobody subscribes to {exposed.topic} ({exposed.endpoint.type}): nothing was sent.",
+                hint="Start the robot, or look at list_topics.",
+            )
+        if time.monotonic() - started_s > _LATE_S:
+            if not owned:
+                self.check_free(exposed)
+            joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
+            self._gate.check(replace(request, repeated=True, joints=joints))
+        return matched

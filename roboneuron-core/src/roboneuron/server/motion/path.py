@@ -7,7 +7,6 @@ import time
 
 from roboneuron.gate import Gate
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.motion.access import Access
 from roboneuron.server.motion.allow_list import AllowList
 from roboneuron.server.motion.arbiter import MotionArbiter
 from roboneuron.server.motion.exposed import Exposed
@@ -45,8 +44,8 @@ class DirectPath:
         )
         self.arbiter = MotionArbiter(self.gate, self._policy)
         self.allow_list = AllowList(self.gate, lambda: loop.config, loop.plugins.current)
-        access = Access(gate=self.gate, arbiter=self.arbiter, traffic=Traffic(lambda: supervisor.link))
-        self.lent = MotionGate(access, self.allow_list, server.max_duration_s)
+        traffic = Traffic(lambda: supervisor.link)
+        self.lent = MotionGate(self.gate, self.arbiter, traffic, self.allow_list, server.max_duration_s)
 
     def close(self) -> None:
         """End every motion with its stop message; idempotent."""

@@ -1,26 +1,28 @@
-"""The ROS side of direct motion: writers, goal clients and measured joints, made when they are first needed."""
+"""The ROS side of direct motion: writers, action clients and measured joints, made when they are first needed."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from roboneuron.contract import JointSample, Pose
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.interfaces import ActionInterface
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES
 from roboneuron.server.motion.exposed import Exposed
 
 if TYPE_CHECKING:
-    from roboneuron.ros.goal import GoalClient
+    from unique_identifier_msgs.msg import UUID
+
     from roboneuron.ros.link import RosLink
     from roboneuron.ros.reader import NewestMessage
     from roboneuron.ros.writer import TopicWriter
 
 JOINTS_AGE_S = POSE_AGE_S = 0.5
 """Older measurements are as good as none."""
+_SETTLE_S = 0.1
+"""After the first sight of an action server: until it has matched our side too, its answer would be lost."""
 
 
 class Traffic:
@@ -30,7 +32,8 @@ class Traffic:
         self._link = link
         self._lock = threading.Lock()
         self._writers: dict[tuple[str, str], TopicWriter] = {}
-        self._goals: dict[tuple[str, str], GoalClient] = {}
+        self._actions: dict[tuple[str, str], Any] = {}
+        self._settled: set[str] = set()
         self._joints: dict[str, NewestMessage] = {}
         self._poses: dict[str, NewestMessage] = {}
 
@@ -49,19 +52,40 @@ class Traffic:
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._writers:
-                self._writers[key] = TopicWriter(link, exposed.message.ros_type, exposed.endpoint.type, exposed.topic)
+                self._writers[key] = TopicWriter(link, exposed.ros_type, exposed.endpoint.type, exposed.topic)
             return self._writers[key]
 
-    def goal_client(self, exposed: Exposed) -> GoalClient:
-        """The client of an action."""
-        from roboneuron.ros.goal import GoalClient  # heavy
+    def is_served(self, exposed: Exposed) -> bool:
+        """Whether somebody serves the service or action; blocks for a moment when that is new of an action."""
+        link = self.link()
+        if exposed.endpoint.kind != "action":
+            return link.is_service_ready(exposed.ros_type, exposed.topic)
+        from action_msgs.srv import CancelGoal  # heavy
 
-        assert isinstance(exposed.interface, ActionInterface)
+        if not self.action_client(exposed).server_is_ready():
+            self._settled.discard(exposed.topic)
+            return False
+        if exposed.topic not in self._settled:
+            link.is_service_ready(CancelGoal, _cancel_name(exposed))  # so that it is known once it is needed
+            time.sleep(_SETTLE_S)
+            self._settled.add(exposed.topic)
+        return True
+
+    def action_client(self, exposed: Exposed) -> Any:
+        """The rclpy client of an action."""
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
-            if key not in self._goals:
-                self._goals[key] = GoalClient(link, exposed.interface.ros_type, exposed.topic)
-            return self._goals[key]
+            if key not in self._actions:
+                self._actions[key] = link.action_client(exposed.ros_type, exposed.topic)
+            return self._actions[key]
+
+    def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
+        """Ask the server of an action to end a goal; returns at once."""
+        from action_msgs.msg import GoalInfo  # heavy
+        from action_msgs.srv import CancelGoal  # heavy
+
+        request = CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id))
+        self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
 
     def newest_joints(self, exposed: Exposed) -> JointSample | None:
         """The measured joints of the endpoint's robot, None when there are no recent ones; never blocks."""
@@ -112,3 +136,7 @@ class Traffic:
             if namespace not in kept:
                 kept[namespace] = NewestMessage(link, message_type, f"/{namespace}/{topic}")
             return kept[namespace]
+
+
+def _cancel_name(exposed: Exposed) -> str:
+    return f"{exposed.topic}/_action/cancel_goal"

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from rn_tools_ros.interfaces import Array, Message, Nested, list_interfaces, load_message
 from roboneuron.errors import InvalidInputError
-from roboneuron.interfaces import Array, Message, Nested, list_interfaces, load_message
 
 NAMES = [str(name) for name in list_interfaces()]
 KEYWORDS = {

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image as PillowImage
 
+from rn_tools_ros.interfaces import DecodeLimits, list_interfaces, load_message
 from roboneuron.errors import InvalidInputError
-from roboneuron.interfaces import DecodeLimits, list_interfaces, load_message
 
 
 def build(name: str, value: Any, **kwargs: Any) -> tuple[Any, Any]:

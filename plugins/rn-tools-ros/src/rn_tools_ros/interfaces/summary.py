@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.interfaces.bounds import DecodeLimits
-from roboneuron.interfaces.description import Plain
+from rn_tools_ros.interfaces.bounds import DecodeLimits
+from rn_tools_ros.interfaces.description import Plain
 
 _SECTORS = 8
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

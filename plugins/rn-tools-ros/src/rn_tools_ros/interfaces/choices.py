@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from roboneuron.interfaces.description import Choice, Scalar
+from rn_tools_ros.interfaces.description import Choice, Scalar
 
 HOLDER_WORDS = ("type", "status", "state", "mode", "level", "action", "code", "kind", "result", "command", "severity")
 """A field whose name ends in one of these holds a choice."""

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rn_tools_ros.interfaces import InputLimits, list_interfaces, load_message
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.interfaces import InputLimits, list_interfaces, load_message
 
 INTEGER_TYPES = {f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
                  for sign in ("", "u") for bits in (8, 16, 32, 64)}  # fmt: skip

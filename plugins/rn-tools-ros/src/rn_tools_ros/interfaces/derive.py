@@ -11,10 +11,9 @@ from typing import Any
 
 from rosidl_parser import definition as rosidl
 
-from roboneuron.errors import ConfigurationError
-from roboneuron.interfaces.choices import assign_choices
-from roboneuron.interfaces.comments import NO_COMMENTS, StructComments, read_comments
-from roboneuron.interfaces.description import (
+from rn_tools_ros.interfaces.choices import assign_choices
+from rn_tools_ros.interfaces.comments import NO_COMMENTS, StructComments, read_comments
+from rn_tools_ros.interfaces.description import (
     INTEGER_RANGES,
     Array,
     Field,
@@ -24,6 +23,7 @@ from roboneuron.interfaces.description import (
     Plain,
     Scalar,
 )
+from roboneuron.errors import ConfigurationError
 
 _DEFAULT_SUFFIX = "__DEFAULT"
 _NANOSECONDS = (0, 999_999_999)

@@ -10,8 +10,7 @@ from collections import Counter
 import pytest
 from rosidl_parser import definition as rosidl
 
-from roboneuron.errors import ConfigurationError
-from roboneuron.interfaces import (
+from rn_tools_ros.interfaces import (
     Array,
     MessageInterface,
     Scalar,
@@ -23,8 +22,9 @@ from roboneuron.interfaces import (
     load_message,
     load_service,
 )
-from roboneuron.interfaces.comments import parse_comments
-from roboneuron.interfaces.derive import Deriver
+from rn_tools_ros.interfaces.comments import parse_comments
+from rn_tools_ros.interfaces.derive import Deriver
+from roboneuron.errors import ConfigurationError
 
 pytest.importorskip("test_msgs", reason="pip install ros-jazzy-test-msgs")
 
@@ -92,7 +92,7 @@ def test_listing_is_restricted_to_a_package() -> None:
 
 def test_importing_the_package_loads_no_ros_and_changes_no_environment() -> None:
     code = (
-        "import os, sys; before = dict(os.environ); import roboneuron.interfaces; "
+        "import os, sys; before = dict(os.environ); import rn_tools_ros.interfaces; "
         "assert dict(os.environ) == before; "
         "assert not [m for m in sys.modules if m.split('.')[0] in ('rclpy', 'std_msgs', 'PIL')]"
     )

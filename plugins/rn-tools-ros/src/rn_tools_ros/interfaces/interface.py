@@ -9,14 +9,13 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel
 
-from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
-from roboneuron.interfaces.decode import MessageDecoder
-from roboneuron.interfaces.derive import Deriver
-from roboneuron.interfaces.description import Array, Field, Message, Nested, Plain
-from roboneuron.interfaces.encode import MessageEncoder, encoder_for
-from roboneuron.interfaces.model import make_model
-from roboneuron.interfaces.naming import (
+from rn_tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
+from rn_tools_ros.interfaces.decode import MessageDecoder
+from rn_tools_ros.interfaces.derive import Deriver
+from rn_tools_ros.interfaces.description import Array, Field, Message, Nested, Plain
+from rn_tools_ros.interfaces.encode import MessageEncoder, encoder_for
+from rn_tools_ros.interfaces.model import make_model
+from rn_tools_ros.interfaces.naming import (
     InterfaceName,
     interface_prefixes,
     is_interface_package,
@@ -24,10 +23,11 @@ from roboneuron.interfaces.naming import (
     parse_interface_name,
     unknown_interface,
 )
-from roboneuron.interfaces.picture import PICTURE_TYPES, Picture, to_picture
-from roboneuron.interfaces.refusal import Mismatch
-from roboneuron.interfaces.scalars import Budget
-from roboneuron.interfaces.schema import INLINE_BYTES, make_schema
+from rn_tools_ros.interfaces.picture import PICTURE_TYPES, Picture, to_picture
+from rn_tools_ros.interfaces.refusal import Mismatch
+from rn_tools_ros.interfaces.scalars import Budget
+from rn_tools_ros.interfaces.schema import INLINE_BYTES, make_schema
+from roboneuron.errors import ConfigurationError, InvalidInputError
 
 _MAX_PICTURES = 4
 _DEFAULT_DECODE = DecodeLimits()

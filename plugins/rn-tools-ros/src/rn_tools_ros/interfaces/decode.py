@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from roboneuron.interfaces.bounds import DecodeLimits
-from roboneuron.interfaces.description import Array, Field, FieldType, Message, Plain, Scalar
-from roboneuron.interfaces.summary import SUMMARIES, summarize_numbers, to_number
+from rn_tools_ros.interfaces.bounds import DecodeLimits
+from rn_tools_ros.interfaces.description import Array, Field, FieldType, Message, Plain, Scalar
+from rn_tools_ros.interfaces.summary import SUMMARIES, summarize_numbers, to_number
 
 _LONG_BYTES = 64
 

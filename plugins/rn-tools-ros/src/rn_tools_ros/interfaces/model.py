@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, ValidatorFunctionWrapHandler, create
 from pydantic import Field as ModelField
 from pydantic_core import PydanticCustomError
 
+from rn_tools_ros.interfaces.description import Array, FieldType, Message, Nested, Plain, Scalar
 from roboneuron.errors import InvalidInputError
-from roboneuron.interfaces.description import Array, FieldType, Message, Nested, Plain, Scalar
 
 Canonical = Callable[[Message, Mapping[str, Any]], dict[str, Plain]]
 """Checks a value and returns all of its fields as plain values. Raises InvalidInputError."""

@@ -10,8 +10,8 @@ import json
 from collections import Counter
 from typing import Any
 
-from roboneuron.interfaces.description import FLOAT32_MAX, Array, Field, FieldType, Message, Nested, Scalar
-from roboneuron.interfaces.scalars import NONFINITE_NAMES
+from rn_tools_ros.interfaces.description import FLOAT32_MAX, Array, Field, FieldType, Message, Nested, Scalar
+from rn_tools_ros.interfaces.scalars import NONFINITE_NAMES
 
 INLINE_BYTES = 8192
 """A schema over this size keeps repeated messages in `$defs`. Most clients read references, a few do not."""

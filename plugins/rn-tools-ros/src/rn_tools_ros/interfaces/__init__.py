@@ -5,9 +5,9 @@ Importing this package imports no ROS; loading an interface imports that interfa
 
 from __future__ import annotations
 
-from roboneuron.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
-from roboneuron.interfaces.description import Array, Choice, Field, FieldType, Message, Nested, Plain, Scalar
-from roboneuron.interfaces.interface import (
+from rn_tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
+from rn_tools_ros.interfaces.description import Array, Choice, Field, FieldType, Message, Nested, Plain, Scalar
+from rn_tools_ros.interfaces.interface import (
     ActionInterface,
     Interface,
     InterfaceLoader,
@@ -18,8 +18,8 @@ from roboneuron.interfaces.interface import (
     load_message,
     load_service,
 )
-from roboneuron.interfaces.naming import InterfaceName, interface_prefixes, list_interfaces
-from roboneuron.interfaces.picture import Picture, to_picture
+from rn_tools_ros.interfaces.naming import InterfaceName, interface_prefixes, list_interfaces
+from rn_tools_ros.interfaces.picture import Picture, to_picture
 
 __all__ = [
     "LOSSLESS",

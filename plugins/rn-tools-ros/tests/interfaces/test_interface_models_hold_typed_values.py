@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from roboneuron.interfaces import LOSSLESS, list_interfaces, load_message
-from roboneuron.interfaces.model import attribute_name
+from rn_tools_ros.interfaces import LOSSLESS, list_interfaces, load_message
+from rn_tools_ros.interfaces.model import attribute_name
 
 
 def test_a_model_has_typed_attributes_and_defaults() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from rn_testing.domain import free_ros_domain
-from roboneuron.interfaces import list_interfaces
+from rn_tools_ros.interfaces import list_interfaces
 
 pytest.importorskip("test_msgs", reason="pip install ros-jazzy-test-msgs")
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from roboneuron.interfaces.description import FLOAT32_MAX, Array, Scalar
-from roboneuron.interfaces.refusal import Mismatch, describe_value
-from roboneuron.interfaces.scalars import NONFINITE_NAMES, Budget, Encoder, make_scalar_encoder
+from rn_tools_ros.interfaces.description import FLOAT32_MAX, Array, Scalar
+from rn_tools_ros.interfaces.refusal import Mismatch, describe_value
+from rn_tools_ros.interfaces.scalars import NONFINITE_NAMES, Budget, Encoder, make_scalar_encoder
 
 TYPECODES = {
     "float": "f", "double": "d",

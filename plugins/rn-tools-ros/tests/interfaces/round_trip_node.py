@@ -21,7 +21,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from roboneuron.interfaces import LOSSLESS, MessageInterface, load_interface
+from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface
 
 QOS = QoSProfile(depth=10)
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from roboneuron.interfaces.bounds import InputLimits
-from roboneuron.interfaces.description import FLOAT32_MAX, Choice, Scalar
-from roboneuron.interfaces.refusal import Mismatch, describe_value
+from rn_tools_ros.interfaces.bounds import InputLimits
+from rn_tools_ros.interfaces.description import FLOAT32_MAX, Choice, Scalar
+from rn_tools_ros.interfaces.refusal import Mismatch, describe_value
 
 NONFINITE_NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 """JSON has no such numbers; fields configured for them accept and give these texts."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from roboneuron.interfaces import (
+from rn_tools_ros.interfaces import (
     ActionInterface,
     Array,
     Field,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
-from roboneuron.interfaces import LOSSLESS, list_interfaces, load_message
+from rn_tools_ros.interfaces import LOSSLESS, list_interfaces, load_message
 
 NAMES = [str(name) for name in list_interfaces()]
 

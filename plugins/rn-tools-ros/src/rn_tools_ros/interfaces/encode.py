@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from roboneuron.interfaces.arrays import make_array_encoder, make_list_encoder
-from roboneuron.interfaces.description import Array, Message, Nested, Scalar
-from roboneuron.interfaces.refusal import Mismatch, describe_value, unknown_field
-from roboneuron.interfaces.scalars import Budget, Encoder, make_scalar_encoder
+from rn_tools_ros.interfaces.arrays import make_array_encoder, make_list_encoder
+from rn_tools_ros.interfaces.description import Array, Message, Nested, Scalar
+from rn_tools_ros.interfaces.refusal import Mismatch, describe_value, unknown_field
+from rn_tools_ros.interfaces.scalars import Budget, Encoder, make_scalar_encoder
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 _INT32 = (-(1 << 31), (1 << 31) - 1)
