@@ -12,6 +12,7 @@ from roboneuron.contract.action import (
     apply_delta,
     check_action_vector,
 )
+from roboneuron.contract.ahead import Ahead
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
@@ -47,6 +48,7 @@ __all__ = [
     "Acceleration",
     "Action",
     "ActionChunk",
+    "Ahead",
     "AnyAcceleration",
     "AnyRuntime",
     "Backend",
