@@ -46,7 +46,7 @@ class Trial:
     latency_s: float = 0.112
     jitter: float = 0.2
     mode: Mode | None = None
-    abilities: Abilities = Abilities()
+    abilities: Abilities = field(default_factory=Abilities)
     step_s: float = 0.05
     duration_s: float = 45.0
     seed: int = 0
@@ -161,7 +161,8 @@ def run(trial: Trial) -> Outcomes:
         cell.tcp_m = cell.tcp_m + (cell.goal_m - cell.tcp_m) * min(1.0, _TICK_S / _LAG_S)
         errors_m.append(float(np.linalg.norm(cell.tcp_m - _target_m(now_s, cell.sense))))
         now_s = round(now_s + _TICK_S, 6)
-    assert first_s is not None and last_s is not None
+    assert first_s is not None
+    assert last_s is not None
     status = executor.status()
     return Outcomes(
         delivery=status.delivery,

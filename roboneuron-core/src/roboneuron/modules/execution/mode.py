@@ -64,7 +64,7 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
         return Choice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
     if typical_rows > h:
         return Choice("sequential", f"{typical_rows} rows of latency, chunks of {h}: no row would be in time")
-    if d < h and abilities.takes_predicted_state:
+    if abilities.takes_predicted_state:  # a late answer starves the arm, but still continues where the rows ended
         return Choice("predicted-state", f"{d} rows of latency: whole chunks of {h}, the state rolled forward")
     return Choice(overlapped, f"{d} rows of latency are much for chunks of {h}: the arm pauses; use longer chunks")
 
