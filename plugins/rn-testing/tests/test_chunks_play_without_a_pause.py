@@ -1,4 +1,4 @@
-"""Chunk execution by a virtual clock; docs/execution.md has the table (`python benchmarks/bench_execution.py --virtual`)."""
+"""Chunk execution by a virtual clock; the table: `python benchmarks/bench_execution.py --virtual`."""
 
 from __future__ import annotations
 

@@ -100,7 +100,9 @@ def _predict(cell: _Cell, prediction: Prediction, at_s: float) -> ActionChunk:
     if cell.random.random() < 0.2:
         cell.sense = -cell.sense
     here_m, rows, conditioned = pose.position_m, [], 0
-    committed = ahead.rows[: ahead.committed_rows] if ahead is not None and trial.abilities.conditions_on_rows else []
+    committed: F64 = np.zeros((0, 7))
+    if ahead is not None and trial.abilities.conditions_on_rows:
+        committed = ahead.rows[: ahead.committed_rows]
     for i in range(trial.horizon):
         at = start_s + i * trial.step_s
         target_m, next_m = _target_m(at, cell.sense), _target_m(at + trial.step_s, cell.sense)
@@ -122,7 +124,8 @@ def run(trial: Trial) -> Outcomes:
     executor.begin_epoch()
     outcomes: dict[str, int] = {}
     played: list[tuple[int, int]] = []
-    errors_m, ages_s, numbers = [], [], {}
+    numbers: dict[int, int] = {}
+    errors_m, ages_s = [], []
     pending: tuple[float, Prediction, ActionChunk] | None = None
     first_s = last_s = None
     image = np.zeros((1, 1, 3), np.uint8)
