@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from roboneuron.config.section import Section
     from roboneuron.contract import (
-        ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Acceleration, Action, ActionChunk, AnyAcceleration, AnyRuntime,
+        ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Acceleration, Action, ActionChunk, Ahead, AnyAcceleration, AnyRuntime,
         Backend, CameraCalibration, CameraProfile, CollisionProfile, Controller, Endpoint, Frame, GripperProfile, Hold,
         JointCommand, JointLimits, JointSample, Observation, Obstacle, PerceptionSource, Pose, Posture,
         PostureInspector, Proximity, RobotDriver, RobotProfile, RobotState, Runtime, TWIST_FIELDS, Topics, Workspace,
@@ -44,9 +44,10 @@ _PLACES = {
         "Section",
     ),
     "roboneuron.contract": (
-        "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
-        "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
-        "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
+        "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "Ahead",
+        "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile",
+        "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample",
+        "Observation", "Obstacle",
         "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",
         "RobotState", "Runtime", "TWIST_FIELDS", "Topics", "Workspace", "apply_delta", "check_action_vector",
         "check_rgb8", "check_twist", "frame_from_buffer",
@@ -85,7 +86,7 @@ _PLACES = {
 __all__ = [  # noqa: RUF022
     "__version__",
     "Section",
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "AnyAcceleration",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action", "ActionChunk", "Ahead", "AnyAcceleration",
     "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller", "Endpoint",
     "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation", "Obstacle",
     "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile", "RobotState",
