@@ -64,7 +64,7 @@ def test_rows_are_counted_not_timed() -> None:
 
 def test_an_answer_without_a_row_in_time_is_late() -> None:
     queue = RowQueue()
-    queue.append(chunk(8), 0, queue.epoch)
+    queue.append(chunk(8), queue.epoch)
     send(queue, 4)
     assert queue.replace(chunk(4), 0, queue.epoch) == "late"
     assert len(queue) == 4
@@ -82,18 +82,18 @@ def test_rows_of_a_predecessor_count() -> None:
 def test_an_epoch_ends_rows_and_answers() -> None:
     queue = RowQueue()
     epoch = queue.epoch
-    queue.append(chunk(8), 0, epoch)
+    queue.append(chunk(8), epoch)
     send(queue, 2)
     queue.begin_epoch()
     assert len(queue) == 0
     assert queue.sent_since(0) == 0
     assert queue.replace(chunk(8), 0, epoch) == "withdrawn"
-    assert queue.append(chunk(8), 0, epoch) == "withdrawn"
+    assert queue.append(chunk(8), epoch) == "withdrawn"
 
 
 def test_a_trained_prefix_that_was_overrun_is_left_out_once_then_faded() -> None:
     queue = RowQueue()
-    queue.append(chunk(16), 0, queue.epoch)
+    queue.append(chunk(16), queue.epoch)
     send(queue, 5)
     late = chunk(16, 1.0, conditioned_rows=3)
     assert queue.replace(late, 0, queue.epoch, max_committed_rows=3) == "unconditioned"
@@ -104,7 +104,7 @@ def test_a_trained_prefix_that_was_overrun_is_left_out_once_then_faded() -> None
 
 def test_a_conditioned_answer_is_not_faded() -> None:
     queue = RowQueue()
-    queue.append(chunk(16), 0, queue.epoch)
+    queue.append(chunk(16), queue.epoch)
     send(queue, 2)
     queue.replace(chunk(16, 1.0, conditioned_rows=4), 0, queue.epoch)
     assert queue.next is not None
@@ -121,7 +121,7 @@ def test_deltas_are_faded_and_the_gripper_is_not() -> None:
 
 def test_ahead_holds_what_was_sent_since_the_capture_and_what_is_planned() -> None:
     queue = RowQueue(fade_rows=0)
-    queue.append(chunk(8, 0.5), 0, queue.epoch)
+    queue.append(chunk(8, 0.5), queue.epoch)
     now_ns = send(queue, 3)
     ahead = queue.ahead(now_ns - STEP_NS, 4, STEP_S)
     assert ahead is not None

@@ -127,7 +127,7 @@ def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(build:
     cell = build("slow", replace={old: new})
     cell.send_image()
     assert cell.wait_until(lambda: cell.status().get("dropped.late_action") == "1")
-    assert "The backend answered after 0." in cell.status()["message"]
+    assert "The image behind row 1 of 1 was 0." in cell.status()["message"]
     assert "max_image_age_s = 0.2 are allowed" in cell.status()["message"]
     assert cell.status()["ready"] == "false"
     assert not cell.actions

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from rn_switching.shadow_controller import ControllerComparison
-from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, restore
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL, restore
 from roboneuron.contract import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.status import ModuleStatus
@@ -46,7 +46,7 @@ class TimedHandover(Handover):
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(shadow, status)
-        self.moments = {ACT_FROM: NEVER_NS if shadow else 0, ACT_UNTIL: 0, PLAY_UNTIL: 0}
+        self.moments = {ACT_FROM: NEVER_NS if shadow else 0, ACT_UNTIL: 0, PLAY_UNTIL: 0, PLAY_FROM: 0}
         self._now_ns = now_ns
         self._now_s = now_s
         self._moments_ns = dict(self.moments)
@@ -74,6 +74,11 @@ class TimedHandover(Handover):
     def is_over(self, stamp_ns: int) -> bool:
         """See `Handover.is_over`."""
         return self._has_come(ACT_UNTIL, stamp_ns)
+
+    def may_send(self, now_ns: int) -> bool:
+        """See `Handover.may_send`."""
+        from_ns = self._moments_ns[PLAY_FROM]
+        return now_ns >= from_ns or self._now_s() >= self._past_s[PLAY_FROM]
 
     def must_fall_silent(self, now_ns: int) -> bool:
         """See `Handover.must_fall_silent`."""

@@ -21,6 +21,8 @@ ACT_UNTIL = "act_until_ns"
 """ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
 PLAY_UNTIL = "play_until_ns"
 """ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
+PLAY_FROM = "play_from_ns"
+"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has until then. 0: none."""
 NEVER_NS = 2**62
 """As ACT_FROM: in shadow until told otherwise."""
 log = logging.getLogger(__name__)

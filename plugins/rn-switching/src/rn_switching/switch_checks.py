@@ -118,6 +118,10 @@ class InferenceCheck(SwitchCheck):
             )
         return difference
 
+    def latency_s(self, new: Report) -> float:
+        """See `SwitchCheck.latency_s`; the old one's rows bridge the wait for an image too."""
+        return super().latency_s(new) + (_period_s(self.old()) or 0.0)
+
     def is_due(self) -> bool:
         """Without an instruction nothing is sent."""
         return self._has_instruction

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from rn_switching.gap import Gap
-from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL, lower
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL, lower
 from rn_switching.standby_slots import adopt, discard, start_standby
 from rn_switching.switch_checks import SwitchCheck
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
@@ -141,7 +141,7 @@ class WarmSwitch:
         self._on_stage(f"{self._kind}: changing over")
         try:
             # The old one is told only when the new one knows: one that dies now disturbs nobody.
-            moment_ns, due_s = self._agree(clients[1], standby, margin_s)
+            moment_ns, due_s = self._agree(clients[1], standby, margin_s, int(latency_s * 1e9))
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
@@ -152,12 +152,13 @@ class WarmSwitch:
             self._roll_back(clients, old, error)
             raise
 
-    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float) -> tuple[int, float]:
+    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float, latency_ns: int) -> tuple[int, float]:
         """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
         for proposal in range(_MOMENTS):
             moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
             try:
-                self._tell(new, {ACT_FROM: moment_ns}, margin_s / 2, standby)
+                values = {ACT_FROM: moment_ns, PLAY_FROM: moment_ns + latency_ns}
+                self._tell(new, values, margin_s / 2, standby)
                 break
             except NotReadyError:
                 self._healthy(standby)  # what has ended or freezes will not answer later either

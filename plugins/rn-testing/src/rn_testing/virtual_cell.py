@@ -157,8 +157,8 @@ def run(trial: Trial) -> Outcomes:
             row = None
         if row is not None:
             cell.goal_m = cell.tcp_m + row.vector[:3]
-            played.append((numbers[row.captured_ns], row.index))
-            ages_s.append(now_s - row.captured_ns / 1e9)
+            played.append((numbers[row.oldest_ns], row.index))
+            ages_s.append(now_s - row.oldest_ns / 1e9)
             first_s = now_s if first_s is None else first_s
             last_s = now_s
         cell.tcp_m = cell.tcp_m + (cell.goal_m - cell.tcp_m) * min(1.0, _TICK_S / _LAG_S)

@@ -60,6 +60,13 @@ class InferenceConfig(Section):
     instruction: str = Field(default="", description="what to do; can be set later")
     cameras: dict[str, CameraName] = Field(default_factory=dict, description="camera name by role of the backend")
     max_image_age_s: Seconds = Field(default=0.5, description="older images, joint states and poses are never acted on")
+    max_tail_age_s: Seconds | None = Field(
+        default=None,
+        description="likewise for later rows of a chunk; when not given max_image_age_s and the length of the chunk",
+    )
+    execution: Literal["auto", "sequential", "overlap", "rtc", "predicted-state"] = Field(
+        default="auto", description="how chunks are executed; auto chooses by the measured latency"
+    )
     switch_max_difference: Annotated[float, Field(gt=0)] = Field(
         default=0.25, description="a warm switch to actions that differ more [m or rad] is refused"
     )

@@ -57,6 +57,10 @@ class Handover:
         """Whether this module is to act on that input."""
         return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
 
+    def may_send(self, now_ns: int) -> bool:
+        """Whether the predecessor has finished, so that this module may send its own."""
+        return True
+
     def must_fall_silent(self, now_ns: int) -> bool:
         """Whether the successor replaces what is left of a chunk."""
         return False

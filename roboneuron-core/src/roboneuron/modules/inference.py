@@ -1,4 +1,4 @@
-"""Inference: newest images and proprioception in, actions out; chunks are played out here."""
+"""Inference: newest images and proprioception in, actions out, one for each step of the backend's chunks."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from collections import deque
 from dataclasses import replace
 from typing import cast
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
+from roboneuron.contract import ACTION_SIZE, ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
 from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction, Row, check_mode
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
-from roboneuron.modules.player import ChunkPlayer
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
@@ -28,6 +29,10 @@ from roboneuron.ros.messages import to_action_message
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image, camera_info
 
 _WAIT_S = 0.1
+_PREDECESSOR_S = 0.1
+"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has nothing left."""
+_LOOK_S = 0.002
+"""How often the successor in a handover looks whether the predecessor has finished."""
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
 """A backend is stalled when it takes three times as long as it usually does; before the first prediction, after 5 s."""
@@ -42,9 +47,9 @@ log = logging.getLogger(__name__)
 
 
 class InferenceModule(Module):
-    """Runs one backend on the newest observation, on a thread of its own, and publishes its actions one per step.
+    """Runs one backend on the newest observation, and publishes its actions one per step.
 
-    One turn of the thread observes, predicts and plays; each of the three is a part of its own.
+    Two threads: one observes and predicts, one plays. `ChunkExecutor` decides when each of them does what.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -94,23 +99,47 @@ class InferenceModule(Module):
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._publisher = node.advertise(Float64MultiArray, ACTION)
-        self._player = ChunkPlayer(self._send)
+        abilities = Abilities(
+            conditions_on_rows=spec.conditions_on_rows,
+            max_committed_rows=spec.max_committed_rows,
+            takes_predicted_state=spec.takes_predicted_state,
+        )
+        fixed = None if config.execution == "auto" else config.execution
+        if fixed is not None:
+            check_mode(fixed, abilities, spec.name)
+        bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
+        self._executor = ChunkExecutor(abilities, fixed=fixed, bounds=bounds)
+        self._not_before_ns = 0
+        self._has_sent = False
+        self._heard_s = 0.0
+        if node.settings.shadow:
+            node.subscribe(Float64MultiArray, ACTION, self._on_predecessors_action)
+        self._player = Worker("playing", self._play, self.status)
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         node.resources.callback(self._worker.stop, give_up=self._give_up)
-        self._instruction = Instruction(node, config.instruction)
+        node.resources.callback(self._player.stop)
+        self._instruction = Instruction(node, config.instruction, self._executor.begin_epoch)
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
         self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
         self._instruction.restart()
-        self._player.restart()
+        self._executor.begin_epoch()
         self.status.set_waiting(self._inputs.missing() or "the first action")
+        self._player.start()
         self._worker.start()
 
     def deactivate(self) -> None:
         """Stop publishing at once; a prediction in progress is given up, or thrown away."""
+        self._executor.begin_epoch()
+        self._player.stop()
         if not self._worker.stop(give_up=self._give_up):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
+
+    def emergency_stop(self, latched: bool) -> None:
+        """Forget what was planned; after a release, act on what is captured from then on."""
+        self._not_before_ns = self.node.now_ns()
+        self._executor.begin_epoch()
 
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
@@ -130,12 +159,17 @@ class InferenceModule(Module):
             self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
 
     def _step(self, stop: threading.Event) -> None:
-        if self._player.wait(stop):
+        """Observe and predict once, when a prediction is wanted."""
+        if self.node.stopped:
+            stop.wait(_WAIT_S)
+            return
+        if not self._executor.wait_until_wanted(stop, _WAIT_S):
             return
         observation = self._observe()
-        if observation is None:
+        if observation is None or self._inputs.captured_ns(observation) < self._not_before_ns:
             return
-        if self.handover.is_over(self._inputs.captured_ns(observation)):
+        captured_ns = self._inputs.captured_ns(observation)
+        if self.handover.is_over(captured_ns):
             self.status.set(note="handed over to the successor")
             return
         count, instruction = self._instruction.count, self._instruction.text
@@ -143,15 +177,23 @@ class InferenceModule(Module):
             self.status.set(note="waiting for an instruction")
             self.status.set_ready()
             return
-        observation = replace(observation, instruction=instruction)
-        chunk = self._predict(observation)
-        if self.handover.is_shadow(self._inputs.captured_ns(observation)):
-            self.status.set(note="in shadow")
-            self.handover.withhold(chunk)
-            self._note_first(observation)
+        prediction = self._executor.begin(replace(observation, instruction=instruction), captured_ns)
+        if self._instruction.count != count:  # changed meanwhile: the epoch may be that of the next one
             return
-        self.status.set(note=chunk.note)
-        self._player.play(chunk, observation, stop, lambda: self._is_cut(count))
+        chunk = self._predict(prediction)
+        now_ns = self.node.now_ns()
+        if self.handover.is_shadow(captured_ns):
+            self.status.set(note="in shadow")
+            self._executor.measure(prediction, chunk, now_ns)
+            self._check_age(prediction)
+            self.handover.withhold(chunk)
+            self._note_first(prediction.observation.stamp_ns)
+        else:
+            self.status.set(note=chunk.note)
+            outcome = self._executor.answer(prediction, chunk, now_ns)
+            if outcome != "accepted":
+                self.status.dropped.add(f"{outcome}_chunk")
+        self._report()
 
     def _observe(self) -> Observation | None:
         """The newest observation, without its instruction; None when there is none to act on now."""
@@ -168,13 +210,13 @@ class InferenceModule(Module):
                 )
         return observation
 
-    def _predict(self, observation: Observation) -> ActionChunk:
-        """Ask the backend. Raises NotReadyError when the image has become too old to act on meanwhile."""
+    def _predict(self, prediction: Prediction) -> ActionChunk:
+        """Ask the backend."""
         if self._instruction.is_new:
             self._instruction.is_new = False
             self._backend.reset()
         started_s = time.monotonic()
-        chunk = self._backend.predict(observation)
+        chunk = self._backend.predict(prediction.observation)
         took_s = time.monotonic() - started_s
         self._took_s.append(took_s)
         self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)
@@ -182,40 +224,73 @@ class InferenceModule(Module):
         self.status.set_value("inference_ms", took_s * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
-        age_s = self._inputs.age_s(observation)
+        return chunk
+
+    def _check_age(self, prediction: Prediction) -> None:
+        """Raise NotReadyError for an answer in shadow that comes too late to be acted on."""
+        age_s = (self.node.now_ns() - prediction.observation.stamp_ns) / 1e9
         if age_s > self._inputs.max_age_s:
             self.status.dropped.add("late_action")
             raise NotReadyError(
-                f"The backend answered after {took_s:.2f} s, to an image that was {age_s:.2f} s old by then; "
-                f"max_image_age_s = {self._inputs.max_age_s:g} are allowed, so nothing was published.",
+                f"The backend answered to an image that was {age_s:.2f} s old by then; "
+                f"max_image_age_s = {self._inputs.max_age_s:g} are allowed.",
                 hint="Make the backend faster, or allow older images under [inference].",
             )
-        return chunk
 
-    def _is_cut(self, count: int) -> bool:
-        """Whether the rest of a chunk is not to be played: another instruction than number `count`, or a stop."""
-        is_other = self._instruction.count != count
-        return is_other or self.node.stopped or self.handover.must_fall_silent(self.node.now_ns())
+    def _play(self, stop: threading.Event) -> None:
+        """Send the row that is due, or wait for it."""
+        executor = self._executor
+        with executor.changed:
+            due_s = executor.due_s()
+            wait_s = _WAIT_S if due_s is None else min(_WAIT_S, due_s - time.monotonic())
+            if wait_s > 0:
+                executor.changed.wait(wait_s)
+                return
+            now_ns = self.node.now_ns()
+            if stop.is_set() or self.node.stopped or self.handover.must_fall_silent(now_ns):
+                executor.drop()
+                return
+            if not self.handover.may_send(now_ns) and time.monotonic() - self._heard_s < _PREDECESSOR_S:
+                executor.changed.wait(_LOOK_S)
+                return
+            try:
+                row = executor.play(time.monotonic(), now_ns)
+            except NotReadyError:
+                self.status.dropped.add("late_action")
+                raise
+            if row is not None:
+                self._send(row)
 
-    def _send(self, chunk: ActionChunk, index: int, observation: Observation) -> None:
-        """Publish one row."""
+    def _send(self, row: Row) -> None:
+        """Publish one row; the executor's lock is held, so that no instruction or stop comes between."""
+        self._has_sent = True
         self.handover.note_sent("action")
-        self._publisher.publish(to_action_message(chunk.actions[index]))
-        self._worker.progress()
+        self._publisher.publish(to_action_message(row.vector))
         self.status.output.tick()
         self._instruction.note_action()
-        if index == 0:
-            self._note_first(observation)
-        self.status.set_value("chunk_row", index + 1)
-        self.status.set_value("chunk_rows", len(chunk.actions))
+        if row.is_border:
+            self._note_first(row.oldest_ns)
+        self.status.set_value("chunk_row", row.index + 1)
+        self.status.set_value("chunk_rows", row.horizon)
 
-    def _note_first(self, observation: Observation) -> None:
+    def _on_predecessors_action(self, message: Float64MultiArray) -> None:
+        """Count what moves the arm until this module does."""
+        if not self._has_sent and len(message.data) == ACTION_SIZE:
+            self._heard_s = time.monotonic()
+            self._executor.note_sent(np.array(message.data), self.node.now_ns())
+
+    def _note_first(self, oldest_ns: int) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
-        age_ms = self._inputs.age_s(observation) * 1e3
+        age_ms = (self.node.now_ns() - oldest_ns) / 1e6
         self.status.latency.add(age_ms)
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()
+
+    def _report(self) -> None:
+        """Tell how chunks are executed, and the numbers that decided."""
+        for name, value in self._executor.status().to_values().items():
+            self.status.set_value(f"execution.{name}", value)
 
 
 def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:

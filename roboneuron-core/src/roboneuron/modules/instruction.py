@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
@@ -20,8 +22,14 @@ class Instruction:
         is_new: the backend has not been reset for it yet.
     """
 
-    def __init__(self, node: ModuleNode, text: str) -> None:
+    def __init__(self, node: ModuleNode, text: str, on_change: Callable[[], None]) -> None:
+        """Args:
+        node: gets the parameter.
+        text: the first one.
+        on_change: called after each change, on the executor's thread.
+        """
         self._status = node.status
+        self._on_change = on_change
         self.text = ""
         self.count = 0
         self.is_new = True
@@ -56,6 +64,7 @@ class Instruction:
             self.text = str(parameter.value).strip()
             self.count += 1
             self.restart()
+            self._on_change()
             self._status.clear_error()
             self._status.set(instruction=self.text, instruction_count=self.count)
             self._status.changed.set()

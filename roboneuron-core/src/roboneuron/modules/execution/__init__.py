@@ -3,7 +3,7 @@
 from roboneuron.modules.execution.executor import Bounds, ChunkExecutor, Execution, Prediction
 from roboneuron.modules.execution.latency import LatencyWindow
 from roboneuron.modules.execution.meter import Delivery
-from roboneuron.modules.execution.mode import MODES, Abilities, Choice, Mode
+from roboneuron.modules.execution.mode import MODES, Abilities, Choice, Mode, check_mode
 from roboneuron.modules.execution.queue import Outcome, Row, RowQueue, cross_fade
 from roboneuron.modules.execution.roll_forward import roll_forward
 
@@ -21,6 +21,7 @@ __all__ = [
     "Prediction",
     "Row",
     "RowQueue",
+    "check_mode",
     "cross_fade",
     "roll_forward",
 ]

@@ -7,6 +7,7 @@ Time comes from outside, so that tests and simulations run it by a virtual clock
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ F64 = NDArray[np.float64]
 _PACE = 0.8
 """Sequential: the next image may be taken after this share of a step since the last row went out: the arm has then
 carried out most of it."""
+_LEAST_WAIT_S = 0.001
 _RESYNC = 0.5
 """A row that is later than this share of a period starts the period anew; less is jitter, and the grid is kept."""
 
@@ -83,6 +85,24 @@ class Execution:
     rows: int
     delivery: Delivery
 
+    def to_values(self) -> dict[str, str | float | int]:
+        """Numbers and words by name, without those that are unknown."""
+        delivery = self.delivery
+        values = {
+            "mode": self.choice.mode,
+            "reason": self.choice.reason,
+            "latency_p50_ms": self.latency_p50_ms,
+            "latency_p99_ms": self.latency_p99_ms,
+            "delay_rows": self.delay_rows,
+            "rows": self.rows,
+            "delivered_rate": delivery.rate,
+            "starved_periods": delivery.starved_periods,
+            "longest_gap_ms": delivery.longest_gap_s * 1e3,
+            "border_jump_mm": delivery.border_jump_mm,
+            "inner_jump_mm": delivery.inner_jump_mm,
+        }
+        return {name: value for name, value in values.items() if value is not None}
+
 
 class ChunkExecutor:
     """Decides for one backend. Thread-safe.
@@ -91,30 +111,20 @@ class ChunkExecutor:
         abilities: of the backend.
         fixed: the configured mode; None chooses by latency.
         bounds: ages of images.
-        fade_rows: rows of the cross-fade at a seam.
-        is_eager: predict all the time instead of as late as the latency allows; for a backend with a device of its own.
+
+    Attributes:
+        changed: held while anything is decided; notified when rows arrive or are sent, and when an epoch begins.
     """
 
-    def __init__(
-        self,
-        abilities: Abilities,
-        *,
-        fixed: Mode | None,
-        bounds: Bounds,
-        fade_rows: int = FADE_ROWS,
-        is_eager: bool = False,
-    ) -> None:
+    def __init__(self, abilities: Abilities, *, fixed: Mode | None, bounds: Bounds) -> None:
         self._selector = ModeSelector(fixed, abilities)
         self._bounds = bounds
-        self._fade_rows = fade_rows
-        self._is_eager = is_eager
-        self._queue = RowQueue(fade_rows)
+        self._queue = RowQueue()
         self._latency = LatencyWindow()
         self._meter = DeliveryMeter()
         self._step_s: float | None = None
         self._due_s = 0.0
         self.changed = threading.Condition(threading.RLock())
-        """Held while anything is decided; notified when rows arrive or are sent, and when an epoch begins."""
 
     # -- who predicts
 
@@ -129,7 +139,24 @@ class ChunkExecutor:
             delay_rows = self._delay_rows(self._step_s)
             if mode == "predicted-state":
                 return rows <= delay_rows + 1
-            return self._is_eager or rows <= delay_rows + 1 + self._fade_rows
+            # As late as the latency allows: what is predicted later has seen more. The fade needs old rows too.
+            return rows <= delay_rows + 1 + FADE_ROWS
+
+    def wait_until_wanted(self, stop: threading.Event, timeout_s: float) -> bool:
+        """Block until a prediction is wanted; False after `timeout_s` or when `stop` is set."""
+        end_s = time.monotonic() + timeout_s
+        with self.changed:
+            while not stop.is_set():
+                now_s = time.monotonic()
+                if self.wants_prediction(now_s):
+                    return True
+                if now_s >= end_s:
+                    break
+                # Between two chunks of sequential execution nothing but time makes a prediction wanted.
+                is_paced = self._queue.next is None and self._step_s is not None
+                wait_s = self._due_s - (1.0 - _PACE) * (self._step_s or 0.0) - now_s if is_paced else end_s - now_s
+                self.changed.wait(max(_LEAST_WAIT_S, min(wait_s, end_s - now_s)))
+        return False
 
     def begin(self, observation: Observation, captured_ns: int) -> Prediction:
         """Say what the backend is given of an observation that is there now.
@@ -159,15 +186,20 @@ class ChunkExecutor:
         with self.changed:
             self.measure(prediction, chunk, now_ns)
             if prediction.mode in ("sequential", "predicted-state"):
-                outcome = self._queue.append(chunk, prediction.captured_ns, prediction.epoch)
+                outcome = self._queue.append(chunk, prediction.epoch, oldest_ns=prediction.observation.stamp_ns)
             else:
-                most = self._selector.abilities.max_committed_rows
-                outcome = self._queue.replace(chunk, prediction.captured_ns, prediction.epoch, most)
+                outcome = self._queue.replace(
+                    chunk,
+                    prediction.captured_ns,
+                    prediction.epoch,
+                    oldest_ns=prediction.observation.stamp_ns,
+                    max_committed_rows=self._selector.abilities.max_committed_rows,
+                )
             self.changed.notify_all()
             return outcome
 
     def measure(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> None:
-        """Learn from an answer that is not played (in shadow), as `answer` does from every one."""
+        """Learn from an answer that is not played, in shadow, as `answer` does from every one."""
         with self.changed:
             self._step_s = chunk.step_s
             self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
@@ -197,12 +229,13 @@ class ChunkExecutor:
             row = self._queue.next
             if row is None or now_s < self._due_s:
                 return None
-            age_s, most_s = (now_ns - row.captured_ns) / 1e9, self._bounds.of(row)
+            age_s, most_s = (now_ns - row.oldest_ns) / 1e9, self._bounds.of(row)
             if age_s > most_s:
                 self._queue.drop()
+                name = "max_image_age_s" if row.is_border else "max_tail_age_s"
                 raise NotReadyError(
                     f"The image behind row {row.index + 1} of {row.horizon} was {age_s:.2f} s old when the row was "
-                    f"due; {most_s:g} s are allowed, so nothing was published.",
+                    f"due; {name} = {most_s:g} are allowed, so nothing was published.",
                     hint="Make the backend faster, or allow older images under [inference].",
                 )
             self._queue.pop(now_ns)
@@ -220,7 +253,7 @@ class ChunkExecutor:
     # -- what interrupts
 
     def begin_epoch(self) -> None:
-        """Another instruction, an emergency stop, a start: no row and no answer of before is played."""
+        """Begin with another instruction, after a stop or a start: no row and no answer of before is played."""
         with self.changed:
             self._queue.begin_epoch()
             self._latency.skip_next()  # after a reset the first answer takes longer

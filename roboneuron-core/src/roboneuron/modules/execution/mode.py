@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from roboneuron.errors import ConfigurationError
 from roboneuron.modules.execution.latency import LatencyWindow, rows_in
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
@@ -72,6 +73,18 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
 def _can_condition(abilities: Abilities, delay_rows: int) -> bool:
     most = abilities.max_committed_rows
     return abilities.conditions_on_rows and (most == 0 or delay_rows <= most)
+
+
+def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
+    """Raise ConfigurationError when a backend cannot be executed in a mode that the configuration fixes."""
+    lacks = (mode == "rtc" and not abilities.conditions_on_rows) or (
+        mode == "predicted-state" and not abilities.takes_predicted_state
+    )
+    if lacks:
+        raise ConfigurationError(
+            f"inference.execution is {mode!r}, which backend {backend!r} cannot do.",
+            hint="Use 'auto', which chooses what it can.",
+        )
 
 
 class ModeSelector:

@@ -31,7 +31,7 @@ class Row:
     Attributes:
         vector: float64 (7,), contract units.
         index, horizon: place in its chunk, and rows of that chunk.
-        captured_ns: capture time of the image that it answers [ns].
+        oldest_ns: capture time of the oldest image that it answers [ns].
         step_s: period of its chunk [s].
         is_border: the first of its chunk that is played.
     """
@@ -39,7 +39,7 @@ class Row:
     vector: F64
     index: int
     horizon: int
-    captured_ns: int
+    oldest_ns: int
     step_s: float
     is_border: bool
 
@@ -96,8 +96,10 @@ class RowQueue:
         return row
 
     def note_sent(self, vector: F64, sent_ns: int) -> None:
-        """Another module (the predecessor in a handover) sent a row: it moved the arm as one of ours would have."""
+        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of our next one."""
         self._sent.append(_Sent(sent_ns, self.epoch, vector))
+        if self._rows:
+            self._rows.popleft()
 
     def sent_since(self, captured_ns: int) -> int:
         """Rows of this epoch that were sent after that time."""
@@ -145,13 +147,16 @@ class RowQueue:
         rows = [*(sent.vector for sent in under_way), *(row.vector for row in self._rows)]
         return np.array(rows).reshape(-1, 7), share
 
-    def replace(self, chunk: ActionChunk, captured_ns: int, epoch: int, max_committed_rows: int = 0) -> Outcome:
+    def replace(
+        self, chunk: ActionChunk, captured_ns: int, epoch: int, *, oldest_ns: int = 0, max_committed_rows: int = 0
+    ) -> Outcome:
         """Let an answer take over from the row that is next.
 
         Args:
             chunk: its row 0 is meant for the moment of the capture.
-            captured_ns: of the image that it answers [ns].
+            captured_ns: of the leading image that it answers [ns].
             epoch: in which that image was taken.
+            oldest_ns: of the oldest image [ns].
             max_committed_rows: greatest prefix that the backend was trained for; 0 for no bound.
         """
         if epoch != self.epoch:
@@ -167,15 +172,15 @@ class RowQueue:
         vectors = chunk.actions[played:]
         if not chunk.conditioned_rows or is_overrun:
             vectors = cross_fade([row.vector for row in self._rows], vectors, self.fade_rows)
-        self._rows = deque(_rows(vectors, chunk, captured_ns, first=played))
+        self._rows = deque(_rows(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
 
-    def append(self, chunk: ActionChunk, captured_ns: int, epoch: int) -> Outcome:
-        """Let an answer follow whole after the rows that are there."""
+    def append(self, chunk: ActionChunk, epoch: int, *, oldest_ns: int = 0) -> Outcome:
+        """Let an answer follow whole after the rows that are there; arguments as for `replace`."""
         if epoch != self.epoch:
             return "withdrawn"
-        self._rows.extend(_rows(chunk.actions, chunk, captured_ns, first=0))
+        self._rows.extend(_rows(chunk.actions, chunk, oldest_ns, first=0))
         self._context = chunk.context
         return "accepted"
 
@@ -204,8 +209,8 @@ def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
     return faded
 
 
-def _rows(vectors: F64, chunk: ActionChunk, captured_ns: int, first: int) -> list[Row]:
+def _rows(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:
     return [
-        Row(vector, first + i, len(chunk.actions), captured_ns, chunk.step_s, is_border=i == 0)
+        Row(vector, first + i, len(chunk.actions), oldest_ns, chunk.step_s, is_border=i == 0)
         for i, vector in enumerate(vectors)
     ]
