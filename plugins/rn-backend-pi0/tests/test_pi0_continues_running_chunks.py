@@ -159,7 +159,7 @@ def test_relative_rows_are_re_expressed_against_the_new_state(backend: Pi0Backen
     """The same absolute targets, seen from a state that has moved, are other relative rows."""
     assert backend._model is not None
     assert backend._profile is not None
-    object.__setattr__(backend._profile.action, "adds_state", True)
+    backend._profile = replace(backend._profile, action=replace(backend._profile.action, adds_state=True))
     width = backend._profile.state.width
     old, new = np.zeros(width, np.float32), np.full(width, 0.25, np.float32)
     running = RunningChunk(normalized=np.zeros(backend._model.noise_shape, np.float32), state=old)

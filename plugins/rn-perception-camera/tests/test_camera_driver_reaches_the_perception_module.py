@@ -102,7 +102,7 @@ class Graph:
 
     def end(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdin is not None
-        process.stdin.close()  # the lifeline
+        process.stdin.close()  # as when the parent ends
         process.wait(15.0)
 
     def close(self) -> None:

@@ -76,7 +76,7 @@ class Graph:
 
         for process in self.processes:
             assert process.stdin is not None
-            process.stdin.close()  # the lifeline
+            process.stdin.close()  # as when the parent ends
         for process in self.processes:
             process.wait(15.0)
         self.executor.shutdown()

@@ -13,9 +13,8 @@ from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
-from roboneuron.supervisor.observing import ProcessObservers
 from roboneuron.supervisor.parameters import ParameterClient
-from roboneuron.supervisor.process import Spawner
+from roboneuron.supervisor.process import ProcessObservers, spawn
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -54,8 +53,8 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
 
 def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
     """The pipe of a process that hangs is full at some time: what is lost there would make a request a foreign one."""
-    spawner = Spawner(ProcessObservers())
-    process = spawner.spawn("hangs", ["sleep", "60"], os.environ, "", tmp_path / "log" / "hangs.log")
+    log = tmp_path / "log" / "hangs.log"
+    process = spawn("hangs", ["sleep", "60"], os.environ, "", log, ProcessObservers())
     process.reap(lambda ended: None)
 
     def announce_on() -> None:
@@ -69,7 +68,6 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
     finally:
         process.kill()
         assert process.wait(10.0)
-        spawner.close()
     process.announce(digest_of_transition(3, "activate"))
 
 

@@ -16,7 +16,6 @@ from rn_tools_ros.discovery import LiveGraph
 from rn_tools_ros.exposing import Admin, ExposureChange, exposing_tools
 from rn_tools_ros.exposure import Exposure, exposure, unique
 from rn_tools_ros.generic import generic_tools
-from rn_tools_ros.graph import RosGraph
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_tools_ros.parameter_calls import parameter_endpoints
 from rn_tools_ros.parameters import parameter_tools
@@ -66,7 +65,7 @@ class RosTools(Feature[RosToolsOptions]):
         """
         self._host = host
         check_patterns(self.options.discover)
-        tools = generic_tools(lambda: self.exposed, RosGraph(host))
+        tools = generic_tools(lambda: self.exposed, host.graph)
         if host.identifies_clients or self.options.direct.expose_without_token:
             tools += exposing_tools(self, self.options.direct.expose_without_token)
         self._derive(self._configured(), taken={tool.name for tool in tools})
@@ -76,7 +75,7 @@ class RosTools(Feature[RosToolsOptions]):
     def start(self, host: Host) -> None:
         """Begin to watch the graph, where the configuration wants that."""
         self._graph = LiveGraph(
-            self.options.discover, host.config, RosGraph(host), lambda: self._named, self._profile, self._on_discovered
+            self.options.discover, host.config, host.graph, lambda: self._named, self._profile, self._on_discovered
         )
         self._graph.start()
 

@@ -112,26 +112,11 @@ def send_goal(
     if request.dry_run:
         return GoalEnd(verdict=gate.ask(exposed, request))
     with gate.claim(exposed, request.tool, halt) as motion:
-        if not gate.is_served(exposed):
-            verdict = gate.check(request)  # what is refused waits for nobody
-            if not verdict.may_send:
-                return GoalEnd(verdict=verdict)
-            _await_server(gate, exposed, motion, server_s)
-            joints = gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None
-            request = replace(request, repeated=True, joints=joints)
-        return _follow(gate, exposed, request, motion, timeout_s, on_feedback)
-
-
-def _await_server(gate: MotionGate, exposed: Exposed, motion: Motion, server_s: float) -> None:
-    deadline_s = time.monotonic() + server_s
-    while not gate.is_served(exposed):
-        if time.monotonic() >= deadline_s:
-            raise NotReadyError(f"Nobody serves the action {exposed.topic}: nothing was sent.", hint="Start it.")
-        motion.sleep_until(min(deadline_s, time.monotonic() + 0.02))
+        return _follow(gate, exposed, request, motion, timeout_s, server_s, on_feedback)
 
 
 def _follow(
-    gate: MotionGate, exposed: Exposed, request: GateRequest, motion: Motion, timeout_s: float,
+    gate: MotionGate, exposed: Exposed, request: GateRequest, motion: Motion, timeout_s: float, server_s: float,
     on_feedback: Callable[[Any], None],
 ) -> GoalEnd:  # fmt: skip
     from unique_identifier_msgs.msg import UUID  # heavy
@@ -139,7 +124,7 @@ def _follow(
     goal_id = UUID(uuid=list(uuid.uuid4().bytes))
     started_s = time.monotonic()
     goal = _Goal(lambda: gate.cancel_goal(exposed, goal_id))
-    verdict, answer = gate.send_goal(exposed, request, motion, goal_id, on_feedback)
+    verdict, answer = gate.send_goal(exposed, request, motion, goal_id, server_s, on_feedback)
     if answer is None:
         return GoalEnd(verdict=verdict)
     answer.add_done_callback(goal.on_answer)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.errors import StateError
+from roboneuron.ros.graph import RosGraph as RosGraph
 
 if TYPE_CHECKING:
     from mcp.server import Server
@@ -29,10 +30,14 @@ class Host:
     """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
 
     Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as for every caller.
+
+    Attributes:
+        graph: what the ROS graph shows now.
     """
 
     def __init__(self, application: Application) -> None:
         self._application = application
+        self.graph = RosGraph(lambda: application.supervisor.link.node)
 
     @property
     def config(self) -> Config:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from roboneuron.ros.reader import Reading
     from roboneuron.ros.writer import TopicWriter
 
+_LOOK_S = 0.02
 _LATE_S = 0.25
 """After a longer wait for a subscriber the gate is asked again."""
 
@@ -125,15 +126,17 @@ class MotionGate:
         return verdict, call
 
     def send_goal(
-        self, exposed: Exposed, request: GateRequest, motion: Motion, goal_id: UUID, on_feedback: Callable[[Any], None]
-    ) -> tuple[Verdict, Any]:
-        """Send the goal to an action at once, if the gate allows it.
+        self, exposed: Exposed, request: GateRequest, motion: Motion, goal_id: UUID, server_s: float,
+        on_feedback: Callable[[Any], None],
+    ) -> tuple[Verdict, Any]:  # fmt: skip
+        """Send the goal to an action as soon as that is served, if the gate allows it.
 
         Args:
             exposed: which action.
             request: holds the one goal.
             motion: the robot's motion, from `claim`.
             goal_id: as it is cancelled by, for as long as it runs: `cancel_goal` passes no gate.
+            server_s: longest wait for the action server.
             on_feedback: called with each feedback message, on the thread of the ROS node.
 
         Returns:
@@ -141,12 +144,23 @@ class MotionGate:
 
         Raises:
             RefusedError: the gate; also when the emergency stop was pressed.
+            NotReadyError: nobody serves the action.
             StateError: the motion has to end.
         """
         motion.check()
-        verdict = self._gate.check(request)
+        verdict = self._gate.check(request)  # first: what is refused waits for nobody
         if not verdict.may_send:
             return verdict, None
+        if not self.is_served(exposed):
+            deadline_s = time.monotonic() + server_s
+            while not self.is_served(exposed):
+                if time.monotonic() >= deadline_s:
+                    raise NotReadyError(
+                        f"Nobody serves the action {exposed.topic}: nothing was sent.", hint="Start it."
+                    )
+                motion.sleep_until(min(deadline_s, time.monotonic() + _LOOK_S))
+            joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
+            self._gate.check(replace(request, repeated=True, joints=joints))
         client = self._traffic.action_client(exposed)
         return verdict, client.send_goal_async(
             request.messages[0], feedback_callback=lambda message: on_feedback(message.feedback), goal_uuid=goal_id

@@ -1,4 +1,4 @@
-"""What the ROS graph shows now."""
+"""What the ROS graph shows now, for features."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from roboneuron import Host
-
 
 class RosGraph:
     """Names, types and counts, as far as the server's node has discovered; every method raises as `Supervisor.link`."""
 
-    def __init__(self, host: Host) -> None:
-        self._node: Callable[[], Node] = lambda: host.supervisor.link.node
+    def __init__(self, node: Callable[[], Node]) -> None:
+        """Args:
+        node: the server's.
+        """
+        self._node = node
 
     def topics(self) -> dict[str, list[str]]:
         """Types by absolute topic name."""
@@ -55,6 +56,10 @@ class RosGraph:
         """Publishers and subscribers of a topic."""
         node = self._node()
         return node.count_publishers(topic), node.count_subscribers(topic)
+
+    def publisher_types(self, topic: str) -> list[str]:
+        """Message types that are published on an absolute topic, one for each publisher."""
+        return [str(info.topic_type) for info in self._node().get_publishers_info_by_topic(topic)]
 
 
 def _with_one_type(types: dict[str, list[str]]) -> dict[str, str]:
