@@ -147,7 +147,7 @@ def test_rows_ahead_are_checked() -> None:
         (8, 3, 4, "overlap"),  # pauses now and then, less than sequential execution
         (8, 9, 12, "sequential"),
         (16, 7, 7, "overlap"),
-        (1, 1, 1, "overlap"),
+        (1, 1, 1, "sequential"),
     ],
 )
 def test_latency_and_horizon_choose(horizon: int, typical: int, worst: int, mode: str) -> None:

@@ -61,6 +61,8 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
     """
     d, h = worst_rows, horizon
     overlapped: Mode = "rtc" if _can_condition(abilities, d) else "overlap"
+    if h == 1:  # its answer would be stale as soon as the row before it is sent
+        return Choice("sequential", "chunks of one row have nothing to overlap")
     if 2 * d + 1 <= h:
         return Choice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
     if typical_rows > h:
