@@ -95,7 +95,7 @@ def test_height_workspace_and_speed_hold_for_joint_commands(run_arm: Callable[..
         for target, duration_s, words in (
             ({"slide_z": -0.6}, 5.0, "height of -0.5"),
             ({"slide_y": 0.95}, 5.0, "outside the workspace"),
-            ({"slide_y": 0.6}, 1.0, "TCP would move at 0.6 m/s, allowed is 0.5 m/s. Give it 1.2 times the time."),
+            ({"slide_y": 0.6}, 1.0, "TCP would move at 0.6 m/s, allowed is 0.5 m/s. Give it 1.2"),
         ):
             _, text = await agent.fail("publish_joint_trajectory", message=to(duration_s, **target))
             assert words in text
