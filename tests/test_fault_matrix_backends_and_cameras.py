@@ -117,7 +117,7 @@ def test_backend_that_answers_after_two_seconds_does_not_move_the_arm(cell: Cell
     sent = cell.witness.actions()
     before = cell.dropped("inference", "late_action")
     wait_until(lambda: cell.dropped("inference", "late_action") > before, 6.0, "the answer is counted as late")
-    wait_until(lambda: "The backend answered after 2." in cell.error("inference"), 2.0, "the status says so")
+    wait_until(lambda: "The image behind row 1 of 1 was 2." in cell.error("inference"), 2.0, "the status says so")
     assert cell.witness.actions() == sent
     assert cell.stands()
 
