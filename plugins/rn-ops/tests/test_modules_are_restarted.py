@@ -14,8 +14,8 @@ from rn_ops.options import OpsOptions
 from rn_ops.restarts import Restarts
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.watch import Watch
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 Make = Callable[..., tuple[Restarts, list[str]]]

@@ -15,8 +15,7 @@ from rn_ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.results import module_status
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30

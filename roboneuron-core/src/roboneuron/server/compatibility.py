@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from roboneuron.errors import InvalidInputError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.selection import Selection
-from roboneuron.supervisor.view import ModuleView
+from roboneuron.supervisor.health import ModuleView
 
 
 def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:

@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray

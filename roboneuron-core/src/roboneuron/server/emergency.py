@@ -23,8 +23,8 @@ from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.server.events import Events
+from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
 
 log = logging.getLogger(__name__)
 _ROUNDS = 3

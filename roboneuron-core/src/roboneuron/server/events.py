@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import Health
+from roboneuron.supervisor.health import Health, ModuleView
 
 log = logging.getLogger(__name__)
 HealthListener = Callable[[ModuleView, Health, Health], object]

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pydantic import Field
 
 from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KINDS, KindEntry
-from roboneuron.server.requests import MAX_INSTRUCTION_LENGTH
-from roboneuron.server.results import InstructionResult, StopAllResult, StopResult, stop_result
-from roboneuron.server.start_tools import start_tools
+from roboneuron.server.module_kinds import KINDS, MAX_INSTRUCTION_LENGTH, KindEntry
+from roboneuron.server.results import (
+    InstructionResult,
+    StartResult,
+    StopAllResult,
+    StopResult,
+    module_summary,
+    stop_result,
+)
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
 
 
@@ -92,4 +100,36 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
         idempotent=True,
         open_world=True,
         always=True,
+    )
+
+
+def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """One for each kind of module, in their usual order."""
+    return [_start_tool(loop, entry) for entry in KINDS.values()]
+
+
+def plugin_choices(loop: ClosedLoop, entry: KindEntry) -> dict[str, Callable[[], dict[str, str]]]:
+    """The plugins that the arguments of a kind's tools can name."""
+    return {argument: partial(loop.plugins.choices, kind) for argument, kind in entry.choices.items()}
+
+
+def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+    async def handler(request: Arguments, context: CallContext) -> StartResult:
+        started_s = time.monotonic()
+        view = await context.run(
+            lambda stage: loop.start(entry.kind, request, stage, context.role),
+            on_cancel=lambda: loop.cancel(entry.kind),
+        )
+        return StartResult(**module_summary(view), took_s=round(time.monotonic() - started_s, 3))
+
+    return Tool(
+        name=f"start_{entry.kind}",
+        title=entry.title,
+        description=f"{entry.start_text} Returns when it works ({entry.proof}); on any failure nothing is left "
+        "running. An error if it already runs.",
+        arguments=entry.request,
+        result=StartResult,
+        handler=handler,
+        open_world=True,
+        choices=plugin_choices(loop, entry),
     )

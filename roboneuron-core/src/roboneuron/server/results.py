@@ -9,9 +9,8 @@ from pydantic import Field
 
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.tool import Result
+from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView, Stopped, assess
 from roboneuron.supervisor.slot import Phase
-from roboneuron.supervisor.view import ModuleView, Stopped
-from roboneuron.supervisor.watch import EXPLANATIONS, Health, assess
 
 STALE_S = 1.0
 """A module whose newest report is older than this (five periods) is shown as not responding."""

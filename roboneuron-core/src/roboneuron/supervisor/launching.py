@@ -19,12 +19,11 @@ from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.health import StatusBoard
+from roboneuron.supervisor.health import StatusBoard, Stopped
 from roboneuron.supervisor.lifecycle import LifecycleClient
 from roboneuron.supervisor.periodic import Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessObservers, end_processes, spawn
 from roboneuron.supervisor.slot import Claim, Phase, Slot
-from roboneuron.supervisor.view import Stopped
 
 log = logging.getLogger(__name__)
 Stage = Callable[[str], None]
