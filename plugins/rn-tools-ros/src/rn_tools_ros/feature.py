@@ -70,7 +70,7 @@ class RosTools(Feature[RosToolsOptions]):
         if host.identifies_clients or self.options.direct.expose_without_token:
             tools += exposing_tools(self, self.options.direct.expose_without_token)
         self._derive(self._configured(), taken={tool.name for tool in tools})
-        host.events.on_change(self._on_module)
+        host.events.change.listen(self._on_module)
         return tools
 
     def start(self, host: Host) -> None:
@@ -175,10 +175,9 @@ class RosTools(Feature[RosToolsOptions]):
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
     def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[Tool[Any]]:
-        gate = self._host.gate
-        settings = parameter_tools(configured.nodes, gate)
+        settings = parameter_tools(configured.nodes, self._host.gate)
         names = {*self._host.tools.names(besides=FEATURE.name), *taken, *(tool.name for tool in settings)}
-        derived = derive_tools(endpoints, gate, names | _DIRECTORY)
+        derived = derive_tools(endpoints, self._host, names | _DIRECTORY)
         if len(derived) <= self.options.direct.listed_tools:
             return [*settings, *derived]
         unlisted = [replace(tool, listed=False) for tool in derived]

@@ -11,7 +11,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.ros.live import offered_qos, qos_key
+from roboneuron.ros.qos import offered_qos, qos_key
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink

@@ -163,19 +163,19 @@ class Application:
         self.events = Events()
         self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
         self.supervisor = supervisor or Supervisor(
-            state_directory(config.supervisor.state_directory), on_change=self.events.tell_change
+            state_directory(config.supervisor.state_directory), on_change=self.events.change.tell
         )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
-        self.loop.on_stop = self.events.tell_stop
+        self.loop.on_stop = self.events.stop.tell
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
         self.notices = ToolNotices()
         reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
-        self._watch = Watch(reports.look, (self.events.tell_health,))
+        self._watch = Watch(reports.look, (self.events.health.tell,))
         self._diagnostics = HealthDiagnostics(self.supervisor)
-        self.events.on_health(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
-        self.events.on_health(self._diagnostics.publish)
-        self.events.on_fault(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
+        self.events.health.listen(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
+        self.events.health.listen(self._diagnostics.publish)
+        self.events.fault.listen(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
         self.direct = DirectPath(self.loop)
         self.tools = ToolRegistry(
             [
@@ -188,7 +188,7 @@ class Application:
             on_change=self.notices.tools_changed,
         )
         self.host = Host(self)
-        self.events.on_change(self._on_module)
+        self.events.change.listen(self._on_module)
         offered = self.features.offer(self.host, self.tools)
         self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
@@ -202,12 +202,12 @@ class Application:
         self.supervisor.stop_all(_STOP_S)
         self.features.close()
         self.supervisor.close()
-        self.events.tell_end()
+        self.events.end.tell()
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
         self.supervisor.open()
-        self.events.tell_open()
+        self.events.open.tell()
         self._is_joining = True
         self._watch.start()
 

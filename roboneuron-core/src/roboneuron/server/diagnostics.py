@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class HealthDiagnostics:
-    """Publishes every change of a module's health; `publish` is a listener of `Events.on_health`."""
+    """Publishes every change of a module's health; `publish` is a listener of `Events.health`."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
