@@ -16,7 +16,7 @@ from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
 from roboneuron.gate import check_endpoint
 from roboneuron.server.motion.exposed import Exposed, check_reserved, check_stop
-from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]

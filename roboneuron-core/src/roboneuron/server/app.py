@@ -29,15 +29,13 @@ from roboneuron.server.emergency import SafetyReports
 from roboneuron.server.events import Events
 from roboneuron.server.features import Features
 from roboneuron.server.host import Host
-from roboneuron.server.lifecycle_tools import closed_loop_tools
+from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.motion.path import DirectPath
 from roboneuron.server.notices import ToolNotices
-from roboneuron.server.observing import observing_tools
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.resources import STATUS_URI, Resources
-from roboneuron.server.stopping import emergency_tools
+from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
 from roboneuron.server.tool import Stage
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
-from roboneuron.server.compatibility import check_compatible
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import Selection, check_instruction, select
+from roboneuron.server.selection import Selection, check_compatible, check_instruction, select
 from roboneuron.server.stream import ActionStream
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped

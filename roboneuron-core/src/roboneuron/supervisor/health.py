@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from roboneuron.modules.report import StatusReport
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Choice, Exit, Phase
 

@@ -17,7 +17,7 @@ from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
-from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.lifecycle import ParameterClient
 from roboneuron.supervisor.process import KILL_S, ModuleProcess
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
     from roboneuron.ros.link import RosLink
-    from roboneuron.ros.reader import NewestMessage
-    from roboneuron.ros.writer import TopicWriter
+    from roboneuron.ros.writer import NewestMessage, TopicWriter
 
 JOINTS_AGE_S = 0.5
 """Older measurements are as good as none."""
@@ -104,7 +103,7 @@ class Traffic:
         link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy
 
-        from roboneuron.ros.reader import NewestMessage  # heavy
+        from roboneuron.ros.writer import NewestMessage  # heavy
 
         with self._lock:
             if space not in self._joints:
