@@ -76,7 +76,7 @@ class Bench:
             )
         )
         self._publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
-        self.watch = Watch(loop.supervisor.views, [self._on_health])
+        self.watch = Watch(loop.supervisor.views, self._on_health)
         self.watch.start()
 
     def _on_command(self, message: Any) -> None:

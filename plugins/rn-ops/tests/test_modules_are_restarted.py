@@ -30,7 +30,7 @@ def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
         told: list[str] = []
         rules = OpsOptions.model_validate({"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options)
         made = Restarts(supervisor, rules, lambda kind, what: told.append(f"{kind}: {what}"))
-        watch = Watch(supervisor.views, [made.on_health])
+        watch = Watch(supervisor.views, made.on_health)
         watch.start()
         ended.extend((made.close, watch.close))
         return made, told

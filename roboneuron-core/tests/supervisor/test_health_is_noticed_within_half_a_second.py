@@ -45,7 +45,7 @@ class Diary:
 @pytest.fixture
 def diary(supervisor: Supervisor) -> Iterator[Diary]:
     made = Diary()
-    watch = Watch(supervisor.views, [made.note])
+    watch = Watch(supervisor.views, made.note)
     watch.start()
     yield made
     watch.close()

@@ -169,7 +169,7 @@ class Application:
         self.supervisor.on_join = self.features.on_join
         self.notices = ToolNotices()
         reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
-        self._watch = Watch(reports.look, (self.events.health.tell,))
+        self._watch = Watch(reports.look, self.events.health.tell)
         self._diagnostics = HealthDiagnostics(self.supervisor)
         self.events.health.listen(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
         self.events.health.listen(self._diagnostics.publish)

@@ -156,22 +156,22 @@ def assess(view: ModuleView, now_s: float) -> Health:
     return "ok" if report.ready else "waiting"
 
 
-Listener = Callable[[ModuleView, Health, Health], None]
+Listener = Callable[[ModuleView, Health, Health], object]
 """Called from the watching thread with the module, how it was, and how it is."""
 
 
 class Watch(Periodic):
-    """A thread that looks at all modules and tells listeners about every change.
+    """A thread that looks at all modules and tells of every change.
 
     Args:
         views: the modules.
-        listeners: called in this order; they must return quickly.
+        listener: told of each; must return quickly.
     """
 
-    def __init__(self, views: Callable[[], Sequence[ModuleView]], listeners: Sequence[Listener]) -> None:
+    def __init__(self, views: Callable[[], Sequence[ModuleView]], listener: Listener) -> None:
         super().__init__("watch", LOOK_S, self.look)
         self._views = views
-        self._listeners = tuple(listeners)
+        self._listener = listener
         self._known: dict[str, Health] = {}
 
     def look(self) -> None:
@@ -184,8 +184,4 @@ class Watch(Periodic):
             self._known[view.kind] = health
             level = logging.WARNING if health in FAULTS else logging.INFO
             log.log(level, "%s: %s (was %s): %s.", view.kind, health, before, EXPLANATIONS[health])
-            for listener in self._listeners:
-                try:
-                    listener(view, before, health)
-                except Exception:  # one failing listener must not keep the others from hearing of it
-                    log.exception("A listener failed.")
+            self._listener(view, before, health)
