@@ -5,15 +5,13 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from difflib import get_close_matches
 
 from rn_console.options import describe_options
 from roboneuron.cli.plugins import STYLES, add_config, read_disabled
-from roboneuron.errors import ConfigurationError
 from roboneuron.plugins import availability
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
+from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import KINDS, DriverSpec, RobotSpec, Spec
 
 
@@ -37,7 +35,7 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
     from rich.text import Text
 
     console = Console(highlight=False, soft_wrap=True)
-    for record, offers in find(registry, name, kind):
+    for record, offers in registry.find(name, kind):
         heading = Text.assemble((f"{record.distribution} {record.version}".strip(), "bold"), "  ")
         console.print(heading.append(record.status, style=STYLES[record.status]))
         console.print(Text(f"  module: {record.module}"))
@@ -95,25 +93,3 @@ def _text(item: object) -> str:
     if isinstance(item, bool):
         return "yes" if item else "no"
     return str(item)
-
-
-def find(registry: Registry, name: str, kind: str | None = None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
-    """The plugins that `name` means, each with the offers it means: all for a distribution, else those so called.
-
-    Raises:
-        ConfigurationError: nothing (of that kind) has the name; names the nearest.
-    """
-    found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
-    names: set[str] = set()
-    for record in registry.plugins:
-        offers = tuple(o for o in record.offers if kind is None or o.spec.kind == kind)
-        named = offers if record.distribution == name else tuple(o for o in offers if o.spec.name == name)
-        names |= {record.distribution, *(o.spec.name for o in offers)}
-        if named or record.distribution == name:
-            found.append((record, named))
-    if not found:
-        close = get_close_matches(name, names, n=1)
-        nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
-        of_kind = f" of kind {kind}" if kind else ""
-        raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=nearest)
-    return found

@@ -161,6 +161,27 @@ class Registry:
             hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
         )
 
+    def find(self, name: str, kind: str | None = None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
+        """The plugins that `name` means, each with the offers it means: all for a distribution, else those so called.
+
+        Raises:
+            ConfigurationError: nothing (of that kind) has the name; names the nearest.
+        """
+        found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
+        names: set[str] = set()
+        for record in self.plugins:
+            offers = tuple(o for o in record.offers if kind is None or o.spec.kind == kind)
+            named = offers if record.distribution == name else tuple(o for o in offers if o.spec.name == name)
+            names |= {record.distribution, *(o.spec.name for o in offers)}
+            if named or record.distribution == name:
+                found.append((record, named))
+        if not found:
+            close = get_close_matches(name, names, n=1)
+            nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
+            of_kind = f" of kind {kind}" if kind else ""
+            raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=nearest)
+        return found
+
     def _explain_absent_plugins(self) -> str:
         """Plugins whose offers are unknown because they did not load: one of them may hold what is sought."""
         silent = [p for p in self.plugins if p.status in (Status.DISABLED, Status.FAILED)]
