@@ -10,9 +10,9 @@ from typing import Any, cast
 import pytest
 
 from rn_switching import warm_switch
+from rn_switching.standby import ACT_FROM
 from rn_switching.warm_switch import WarmSwitch
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.settings import ACT_FROM
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report
 

@@ -14,8 +14,7 @@ from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
 from roboneuron.supervisor.lifecycle import ParameterClient
-from roboneuron.supervisor.observing import ProcessObservers
-from roboneuron.supervisor.process import Spawner
+from roboneuron.supervisor.process import ProcessObservers, Spawner
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]

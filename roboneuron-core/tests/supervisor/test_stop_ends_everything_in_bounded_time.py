@@ -16,8 +16,7 @@ import pytest
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.supervisor import launching
-from roboneuron.supervisor.ending import end_processes
-from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.process import ModuleProcess, end_processes
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
