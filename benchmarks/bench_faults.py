@@ -34,9 +34,8 @@ from fault_loop import JointWitness, moving_cell
 
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.requests import StartInference
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import Health, Watch
+from roboneuron.server.module_kinds import StartInference
+from roboneuron.supervisor.health import Health, ModuleView, Watch
 
 sys.path.pop(0)
 
@@ -77,7 +76,7 @@ class Bench:
             )
         )
         self._publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
-        self.watch = Watch(loop.supervisor.views, [self._on_health])
+        self.watch = Watch(loop.supervisor.views, self._on_health)
         self.watch.start()
 
     def _on_command(self, message: Any) -> None:

@@ -28,7 +28,7 @@ from switch_loop import Sent, moving_loop
 
 from rn_switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
-from roboneuron.server.requests import StartInference
+from roboneuron.server.module_kinds import StartInference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -17,8 +17,8 @@ from shared_memory import repaired
 from rn_switching.standby import HANDOVER
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.requests import StartInference
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent

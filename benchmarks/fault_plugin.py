@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.restricted import AgentMaySet
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, DriverSpec, PerceptionSpec, RobotSpec
 

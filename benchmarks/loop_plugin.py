@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, CameraSpec, DriverSpec, RobotSpec
 
 if TYPE_CHECKING:

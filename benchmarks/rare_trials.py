@@ -27,7 +27,7 @@ from switch_loop import Witness, moving_loop
 from rn_switching.replacing import Switching
 from roboneuron.errors import RoboNeuronError
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.requests import StartControl
+from roboneuron.server.module_kinds import StartControl
 
 sys.path.pop(0)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.restricted import AgentMaySet
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, PerceptionSpec, RobotSpec
 

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.requests import StartInference
+from roboneuron.server.module_kinds import StartInference
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, standing_loop

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.packages import install_command, package_of
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 
 ROOT = Path(__file__).parents[1]
 PROJECTS = sorted(ROOT.glob("plugins/*/pyproject.toml"))

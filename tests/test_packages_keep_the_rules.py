@@ -13,7 +13,7 @@ from rn_testing import PackageCase, Rule, Verdict, verify
 from rn_testing.automatic import make_case
 from rn_testing.rules import RULES
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.record import PluginRecord, Status
+from roboneuron.plugins.registry import PluginRecord, Status
 from roboneuron.plugins.specs import Spec
 
 REGISTRY = discover()

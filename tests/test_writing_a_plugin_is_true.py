@@ -11,7 +11,7 @@ from pathlib import Path
 
 from roboneuron.cli.main import main
 from roboneuron.plugins import hookspecs
-from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Status
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "writing-a-plugin.md").read_text(encoding="utf-8")

@@ -18,7 +18,7 @@ from roboneuron.cli.commands import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
 from roboneuron.plugins.specs import KINDS, CameraSpec, DriverSpec, Requirement, Spec
-from roboneuron.server.events import Events
+from roboneuron.server.events import Event, Events
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
 
@@ -30,7 +30,7 @@ PROTOCOLS: dict[str, tuple[type, ...]] = {
     "perception": (protocols.PerceptionSource, protocols.Topics),
     "controller": (protocols.Controller,),
     "robot": (protocols.RobotDriver,),
-    "feature": (Feature, Host, Events),
+    "feature": (Feature, Host, Events, Event),
     "command": (CommandModule,),
 }
 INTRODUCTION = """\
@@ -112,6 +112,7 @@ def section(kind: str) -> Iterator[str]:
     for protocol in PROTOCOLS[kind]:
         yield f"### {protocol.__name__}\n"
         yield f"{first_line(protocol)}\n"
+        yield from (f"- `{name}`: {told}" for name, told in attributes(protocol).items() if not hasattr(protocol, name))
         yield from methods(protocol)
         yield ""
     yield from rule_table(kind)

@@ -14,8 +14,8 @@ from typing import Any
 from mcp import types
 
 from roboneuron.config import Config
+from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue

@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from fault_loop import moving_cell
 
 from rn_switching.replacing import Switching
-from roboneuron.server.requests import StartInference
-from roboneuron.supervisor.watch import assess
+from roboneuron.server.module_kinds import StartInference
+from roboneuron.supervisor.health import assess
 
 sys.path.pop(0)
 _RECOVER_S = 20.0

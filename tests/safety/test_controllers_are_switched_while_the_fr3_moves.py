@@ -15,8 +15,8 @@ from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.module_kinds import StartControl
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.requests import StartControl
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 

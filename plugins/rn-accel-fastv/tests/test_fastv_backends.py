@@ -26,8 +26,7 @@ from rn_testing.fakes import make_observation
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
 from roboneuron.planning import check_plan
-from roboneuron.plugins.record import Offer, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import BackendSpec, CameraSpec, DriverSpec, RobotSpec, RuntimeSpec
 
 PRESETS = {"fastv-p25": FastVP25, "fastv-p50": FastVP50, "fastv-p75": FastVP75}

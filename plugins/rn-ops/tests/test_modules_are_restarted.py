@@ -14,8 +14,8 @@ from rn_ops.options import OpsOptions
 from rn_ops.restarts import Restarts
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.watch import Watch
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 Make = Callable[..., tuple[Restarts, list[str]]]
@@ -30,7 +30,7 @@ def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
         told: list[str] = []
         rules = OpsOptions.model_validate({"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options)
         made = Restarts(supervisor, rules, lambda kind, what: told.append(f"{kind}: {what}"))
-        watch = Watch(supervisor.views, [made.on_health])
+        watch = Watch(supervisor.views, made.on_health)
         watch.start()
         ended.extend((made.close, watch.close))
         return made, told

@@ -62,7 +62,7 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
 
 
 def test_faults_that_others_tell_are_recorded(application: Application) -> None:
-    application.events.tell_fault("inference", "lease", {"explanation": "ann's lease has lapsed"})
+    application.events.fault.tell("inference", "lease", {"explanation": "ann's lease has lapsed"})
     (incident,) = ask(application, "list_incidents")["incidents"]
     assert (incident["module"], incident["what"]) == ("inference", "lease")
     assert incident["explanation"] == "ann's lease has lapsed"
@@ -70,7 +70,7 @@ def test_faults_that_others_tell_are_recorded(application: Application) -> None:
 
 def test_the_log_begins_before_ros_is_joined_and_goes_on_until_all_is_closed(application: Application) -> None:
     log = logging.getLogger("tests")
-    application.events.tell_open()
+    application.events.open.tell()
     log.info("the server begins")
     application.features.close()
     log.info("the modules are ended")

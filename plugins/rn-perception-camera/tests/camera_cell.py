@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roboneuron.contract import CameraCalibration, CameraProfile, RobotProfile
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import CameraSpec, DriverSpec, RobotSpec
 
 

@@ -9,7 +9,7 @@ import pytest
 from rn_perception_camera.contract_cases import ros_case, video_case
 from rn_testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Status
 
 
 class TestRosCamera(PerceptionContract):

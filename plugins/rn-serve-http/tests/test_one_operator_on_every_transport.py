@@ -61,7 +61,7 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(make: Make, monke
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
     monkeypatch.setattr(application, "end_motion", lambda reason, timeout_s: ended.append(reason))
-    application.events.on_fault(lambda module, what, facts: faults.append((module, what)))
+    application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)
     lease = application.host.feature("http", HttpFeature).lease
     assert lease is not None

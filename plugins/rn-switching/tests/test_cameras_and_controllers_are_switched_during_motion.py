@@ -19,7 +19,7 @@ from rn_testing.fakes import gantry_profile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.requests import StartControl, StartPerception
+from roboneuron.server.module_kinds import StartControl, StartPerception
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Witness, moving_loop, quiet

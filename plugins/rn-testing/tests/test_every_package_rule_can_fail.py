@@ -11,11 +11,10 @@ import pytest
 from rn_testing import PackageCase, PackageContract, Verdict, verify
 from rn_testing.rules import RULES, package
 from roboneuron import BackendSpec, FeatureSpec
-from roboneuron.plugins.record import Offer, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 
 PLUGIN = """
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import BackendSpec
 
 @hookimpl

@@ -32,7 +32,7 @@ from .errors import (
     RoboNeuronError as RoboNeuronError, StateError as StateError, UngroundedError as UngroundedError,
     UnsafeError as UnsafeError,
 )
-from .plugins.markers import (
+from .plugins.hookspecs import (
     hookimpl as hookimpl, hookspec as hookspec,
 )
 from .plugins.restricted import (

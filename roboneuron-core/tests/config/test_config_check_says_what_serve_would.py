@@ -10,8 +10,7 @@ from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.record import PluginRecord, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import PluginRecord, Registry, Status
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.sections import check_configuration, check_sections
 

@@ -9,8 +9,7 @@ from roboneuron import FeatureSpec
 from roboneuron.config import feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.settings import ModuleSettings
-from roboneuron.plugins.record import Offer, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 
 ROBOT = '[robot]\nname = "gantry"\n'
 RECORDER = FeatureSpec(name="run-recorder", summary="Records.", target="m:F", config=f"{__name__}:RecorderSection")

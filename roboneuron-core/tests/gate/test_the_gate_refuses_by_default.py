@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate import check_endpoint
 from roboneuron.gate.fields import filled, load_type
 
 FORWARD = {"linear": {"x": 0.2}}
@@ -163,24 +163,6 @@ def test_a_dry_run_answers_and_sends_nothing(make_gate, ask, endpoints, audit) -
     assert "linear.x is 3" in verdict.reason
     assert [line["verdict"] for line in lines(audit)] == ["would_allow"] * 9 + ["would_refuse"]
     assert not make_gate(dry_run=True).check(ask(endpoints["velocity"], FORWARD)).may_send
-
-
-def test_a_configuration_can_only_tighten(endpoints) -> None:
-    velocity = endpoints["velocity"]
-    tight = tighten(velocity, ConfiguredLimits(bounds={"linear.x": (-0.1, 0.2), "linear.z": (0, 0)}, rate_hz=2.0))
-    assert tight.bounds["linear.x"] == (-0.1, 0.2)
-    assert tight.bounds["angular.z"] == (-1.0, 1.0)
-    assert tight.rate_hz == 2.0
-    for wrong in (
-        ConfiguredLimits(bounds={"linear.x": (-0.1, 0.6)}),
-        ConfiguredLimits(bounds={"linear.x": (0.2, 0.1)}),
-        ConfiguredLimits(bounds={"linear.x": (0.0, float("nan"))}),
-        ConfiguredLimits(rate_hz=6.0),
-        ConfiguredLimits(rate_hz=0.0),
-        ConfiguredLimits(clamp=frozenset({"linear.z"})),
-    ):
-        with pytest.raises(ConfigurationError):
-            tighten(velocity, wrong)
 
 
 @pytest.mark.parametrize(

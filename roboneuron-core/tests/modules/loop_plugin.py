@@ -26,7 +26,7 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.handover import Handover
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,
     BackendSpec,

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, String
 
 from roboneuron.ros.host import NodeTopics
-from roboneuron.ros.qos import NEWEST, sensor_subscription
+from roboneuron.ros.qos import NEWEST
 
 pytestmark = pytest.mark.ros
-BEST_EFFORT = sensor_subscription(publishers_reliable=False)
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def deliver_until(world: Any, publisher: Any, heard: list[Any], wait_until: Callable[..., bool]) -> bool:

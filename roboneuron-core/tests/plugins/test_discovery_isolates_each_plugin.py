@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.record import PluginRecord, Status
+from roboneuron.plugins.registry import PluginRecord, Status
 
 GOOD = """
 @hookimpl

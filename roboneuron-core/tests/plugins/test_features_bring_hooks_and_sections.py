@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.plugins.discovery import discover_from
-from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Status
 
 EVALUATION = '''
 from collections.abc import Sequence

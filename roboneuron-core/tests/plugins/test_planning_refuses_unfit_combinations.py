@@ -8,8 +8,7 @@ import pytest
 
 from roboneuron.errors import ConfigurationError, PlanningError
 from roboneuron.planning import check_plan
-from roboneuron.plugins.record import Offer, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
     AccelerationSpec,
     ActionSpace,

@@ -6,7 +6,7 @@ import pytest
 
 from rn_testing.fakes import fake_registry
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.record import Status
+from roboneuron.plugins.registry import Status
 
 SOURCE = """
 @hookimpl

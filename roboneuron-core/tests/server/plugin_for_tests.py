@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 
 from roboneuron import Feature
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import BackendSpec, FeatureSpec, PerceptionSpec
 
 print("a plugin that prints while it is imported")

@@ -32,7 +32,7 @@ class Odometer(Feature[None]):
         async def read(_: NoArguments, context: CallContext) -> Number:
             return Number(value=len(host.supervisor.views()))
 
-        host.events.on_fault(lambda module, what, facts: TRACE.append(f"fault {module} {what}"))
+        host.events.fault.listen(lambda module, what, facts: TRACE.append(f"fault {module} {what}"))
         return [
             Tool(
                 name="read_odometer",
@@ -143,7 +143,7 @@ def test_a_feature_brings_tools_resources_and_a_life_of_its_own(make):
     assert application.resources.read("roboneuron://odometer").text == "12 m"
     assert "roboneuron://odometer" in {resource.uri for resource in application.resources.listing()}
     application.features.start(application.host)
-    application.events.tell_fault("control", "lease", {})
+    application.events.fault.tell("control", "lease", {})
     application.close()
     assert TRACE == ["start", "fault control lease", "close"]
 

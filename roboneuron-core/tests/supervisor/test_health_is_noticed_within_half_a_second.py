@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.health import Health, ModuleView, Report, Watch, assess
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import Health, Watch, assess
 
 MakeConfig = Callable[..., Config]
 
@@ -47,7 +45,7 @@ class Diary:
 @pytest.fixture
 def diary(supervisor: Supervisor) -> Iterator[Diary]:
     made = Diary()
-    watch = Watch(supervisor.views, [made.note])
+    watch = Watch(supervisor.views, made.note)
     watch.start()
     yield made
     watch.close()

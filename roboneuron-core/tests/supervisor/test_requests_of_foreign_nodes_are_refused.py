@@ -13,7 +13,7 @@ from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
-from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.lifecycle import ParameterClient
 from roboneuron.supervisor.process import ProcessObservers, spawn
 from roboneuron.supervisor.supervisor import Supervisor
 

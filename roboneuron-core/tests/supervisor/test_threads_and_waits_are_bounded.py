@@ -9,8 +9,7 @@ import time
 import pytest
 
 from roboneuron.errors import StateError
-from roboneuron.supervisor.changes import Changes, Lasting
-from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.changes import Changes, Lasting, Periodic
 
 SOON_S = 20.0
 

@@ -18,9 +18,7 @@ from rn_console.log_runs import log_runs
 from rn_console.status import ModuleStatus, ServerStatus
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import Health, assess
+from roboneuron.supervisor.health import Health, ModuleView, Report, assess
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray

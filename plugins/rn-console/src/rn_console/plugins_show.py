@@ -11,8 +11,7 @@ from roboneuron.cli.plugins import STYLES, add_config, read_disabled
 from roboneuron.plugins import availability
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.record import Offer, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import KINDS, DriverSpec, RobotSpec, Spec
 
 

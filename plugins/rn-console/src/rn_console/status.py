@@ -8,8 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.watch import FAULTS, Health
+from roboneuron.supervisor.health import FAULTS, Health, Report
 
 
 class ModuleError(BaseModel):

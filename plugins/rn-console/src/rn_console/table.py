@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rn_console.status import ModuleStatus, ServerStatus
-from roboneuron.supervisor.watch import EXPLANATIONS
+from roboneuron.supervisor.health import EXPLANATIONS
 
 _COLOURS = {"ok": "green", "waiting": "yellow", "starting": "yellow", "stopping": "yellow", "stopped": "dim"}
 _PLAIN_WIDTH = 110

@@ -20,11 +20,9 @@ from roboneuron import RoboNeuronError
 from roboneuron.config import Config
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
-from roboneuron.plugins.availability import present
+from roboneuron.plugins.availability import START, install_command, present
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.packages import START, install_command
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 from roboneuron.ros.environment import prepare_environment, state_directory
 
 MIN_SHARED_MEMORY_MIB = 256

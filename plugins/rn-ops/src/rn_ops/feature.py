@@ -15,8 +15,7 @@ from rn_ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.results import module_status
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -38,12 +37,12 @@ class Operations(Feature[OpsOptions]):
         self._restarts = Restarts(host.supervisor, self.options, self._note_restart)
         self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
         self._log = ServerLog(host.supervisor.log_directory)
-        host.events.on_open(self._log.open)
-        host.events.on_end(self._log.close)
-        host.events.on_stop(self._restarts.cancel)
-        host.events.on_health(self._record)
-        host.events.on_health(self._restarts.on_health)
-        host.events.on_fault(self._incidents.record)
+        host.events.open.listen(self._log.open)
+        host.events.end.listen(self._log.close)
+        host.events.stop.listen(self._restarts.cancel)
+        host.events.health.listen(self._record)
+        host.events.health.listen(self._restarts.on_health)
+        host.events.fault.listen(self._incidents.record)
         return record_tools(host.supervisor, self._incidents)
 
     def resources(self, host: Host) -> Sequence[Resource]:
@@ -83,8 +82,8 @@ class Operations(Feature[OpsOptions]):
 
     def _note_restart(self, kind: ModuleKind, what: str) -> None:
         log.warning("%s: %s.", kind, what)
-        self._host.events.tell_fault(kind, "restart", {"explanation": what})
+        self._host.events.fault.tell(kind, "restart", {"explanation": what})
 
     def _note_memory(self, kind: ModuleKind, what: str) -> None:
         facts = {"explanation": what, "actions": self._host.loop.last_actions(_ACTIONS)}
-        self._host.events.tell_fault(kind, "memory", facts)
+        self._host.events.fault.tell(kind, "memory", facts)

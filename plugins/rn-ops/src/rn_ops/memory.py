@@ -11,7 +11,7 @@ from weakref import WeakSet
 
 from rn_ops.options import MemoryOptions
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.changes import Periodic
 from roboneuron.supervisor.process import ModuleProcess
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor

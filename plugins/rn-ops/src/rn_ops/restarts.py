@@ -11,9 +11,8 @@ from collections.abc import Callable
 from rn_ops.options import OpsOptions
 from roboneuron import RoboNeuronError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.supervisor.health import Health, ModuleView, assess
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import Health, assess
 
 log = logging.getLogger(__name__)
 _FROZEN: frozenset[Health] = frozenset({"silent", "stuck", "stalled"})

@@ -46,7 +46,7 @@ class HttpFeature(Feature[HttpOptions]):
 
         def end_motion(reason: str) -> None:
             host.end_motion(reason, _LAPSE_S)
-            host.events.tell_fault("inference", "lease", {"explanation": reason})
+            host.events.fault.tell("inference", "lease", {"explanation": reason})
 
         self.lease = OperatorLease(self.options.lease_s, host.audit, end_motion, has_left=has_left)
         host.tools.add_admission(self.lease.admit)

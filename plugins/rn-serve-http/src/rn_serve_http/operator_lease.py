@@ -13,7 +13,7 @@ from pydantic import Field
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.request import OPERATOR
-from roboneuron.supervisor.periodic import Periodic
+from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05

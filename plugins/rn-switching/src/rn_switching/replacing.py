@@ -11,15 +11,12 @@ from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.compatibility import running_selection
 from roboneuron.server.loop import ClosedLoop, ignore_stage
-from roboneuron.server.module_kinds import KINDS
-from roboneuron.server.requests import StartInference, StartPerception
-from roboneuron.server.selection import Selection
+from roboneuron.server.module_kinds import KINDS, StartInference, StartPerception
+from roboneuron.server.selection import Selection, running_selection
 from roboneuron.server.tool import Arguments
-from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.health import ModuleView, Report
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.view import ModuleView
 
 SwitchMode = Literal["warm", "cold"]
 _FIRST_S = 3.0

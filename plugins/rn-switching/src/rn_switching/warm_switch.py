@@ -22,7 +22,7 @@ from roboneuron.server.selection import Selection
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.lifecycle import ParameterClient
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 

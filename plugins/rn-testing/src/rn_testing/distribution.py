@@ -17,14 +17,14 @@ from pathlib import Path
 
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
-from roboneuron.plugins.markers import PROJECT
+from roboneuron.plugins.hookspecs import PROJECT
 
 PROBE_LIMIT_S = 60.0
 """Bound on a fresh interpreter's start and import."""
 
 _PROBE = """
 import importlib, io, json, sys, threading, time
-import roboneuron.plugins.markers, roboneuron.plugins.specs
+import roboneuron.plugins.hookspecs, roboneuron.plugins.specs
 sys.path[:0] = json.loads(sys.argv[1])
 before, out, threads, effects = set(sys.modules), sys.stdout, threading.active_count(), []
 WATCHED = {"socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.mkdir", "os.remove", "os.rename"}

@@ -17,8 +17,7 @@ from pathlib import Path
 from roboneuron.cli.plugins import read_disabled
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import KINDS
 
 SCHEMA_VERSION = 1

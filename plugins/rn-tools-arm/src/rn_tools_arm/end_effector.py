@@ -14,7 +14,9 @@ import numpy as np
 from pydantic import Field
 
 from rn_tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
+from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
+from rn_tools_arm.prediction import PredictedArm
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Action, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest
@@ -80,12 +82,15 @@ class _Line:
 class EndEffectorMover:
     """The handler of move_ee."""
 
-    def __init__(self, exposed: Exposed, profile: RobotProfile, host: Host, options: ArmToolsOptions) -> None:
+    def __init__(
+        self, exposed: Exposed, profile: RobotProfile, host: Host, options: ArmToolsOptions, tcp: MeasuredPose
+    ) -> None:
         self._exposed = exposed
         self._profile = profile
         self._gate = host.gate
         self._host = host
         self._options = options
+        self._tcp = tcp
 
     async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
@@ -144,7 +149,7 @@ class EndEffectorMover:
         if not sent.verdict.may_send:
             verdict = sent.verdict
             return self._answer(order, 0, 0.0, None, None, allowed=verdict.allowed, reason=verdict.reason, dry_run=True)
-        return self._answer(order, sent.messages, sent.duration_s, line.start, gate.ee_pose(exposed, 1.0))
+        return self._answer(order, sent.messages, sent.duration_s, line.start, self._tcp.wait(1.0))
 
     def _actions(self, line: _Line, stage: Stage) -> Iterator[Command]:
         """Follow the line by the measured pose; ends when the arm is there.
@@ -154,12 +159,12 @@ class EndEffectorMover:
             NotReadyError: control or the gripper is not measured.
             StateError: the arm did not get there.
         """
-        gate, exposed, order = self._gate, self._exposed, line.order
-        start = line.start = gate.ee_pose(exposed, _MEASURED_S)
+        order = line.order
+        start = line.start = self._tcp.wait(_MEASURED_S)
         gripper = order.gripper_open if order.gripper_open is not None else self._opening()
         began_s = time.monotonic()
         deltas = self._deltas(
-            order, start, lambda: gate.ee_pose(exposed, _POSE_S), lambda: time.monotonic() - began_s, self._note
+            order, start, lambda: self._tcp.wait(_POSE_S), lambda: time.monotonic() - began_s, self._note
         )
         for sent, (fraction, distance_m, delta) in enumerate(deltas):
             if sent % 5 == 0:
@@ -173,7 +178,7 @@ class EndEffectorMover:
             raise RefusedError("The joints are not measured, so that the path cannot be judged.")
         gripper = self._opening() if order.gripper_open is None else order.gripper_open
         steps = count()
-        with closing(self._gate.predicted(self._exposed, joints)) as arm:
+        with closing(PredictedArm(*self._gate.control_of(self._exposed), joints)) as arm:
 
             def note() -> str:
                 return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
@@ -218,7 +223,7 @@ class EndEffectorMover:
 
     def _where(self) -> str:
         try:
-            return f"the TCP is at {rounded(self._gate.ee_pose(self._exposed, 1.0).position_m)} m"
+            return f"the TCP is at {rounded(self._tcp.wait(1.0).position_m)} m"
         except RoboNeuronError as error:
             return error.message
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
 from rn_tools_arm.plugin import FEATURE
 from rn_tools_arm.tools import arm_tools
@@ -19,8 +20,10 @@ class ArmTools(Feature[ArmToolsOptions]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None but the derived ones, which come once something is exposed."""
 
+        poses: dict[str, MeasuredPose] = {}
+
         def derive() -> None:
-            host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options))
+            host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options, poses))
 
         host.gate.on_change(derive)
         derive()

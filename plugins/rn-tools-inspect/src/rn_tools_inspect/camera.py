@@ -83,16 +83,17 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
         NotReadyError: nobody publishes, or nothing came in time.
     """
     check_camera(host, camera)
+    graph = host.graph  # first: two threads must not import rclpy at the same time
+    from sensor_msgs.msg import Image  # heavy
+
     topic = f"/{host.config.namespace}/camera/{camera}/image"
     changes, deadline_s = Changes(), time.monotonic() + timeout_s
-    types = changes.wait_for(lambda: host.graph.publisher_types(topic) or None, timeout_s)
-    if not types:
+    publishers = changes.wait_for(lambda: graph.get_publishers_info_by_topic(topic) or None, timeout_s)
+    if not publishers:
         raise NotReadyError(f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host))
-    foreign = [name for name in types if name != IMAGE_TYPE]
+    foreign = [info.topic_type for info in publishers if info.topic_type != IMAGE_TYPE]
     if foreign:
         raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, expected {IMAGE_TYPE}.")
-    from sensor_msgs.msg import Image  # heavy; after the graph was read: two threads must not import ROS at one time
-
     received: list[Image] = []
 
     def take(message: Image) -> None:

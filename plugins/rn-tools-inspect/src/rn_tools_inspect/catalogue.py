@@ -7,8 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron import CallContext, Host, NoArguments, Result, Tool
-from roboneuron.plugins.record import Offer
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry
 from roboneuron.plugins.specs import (
     AccelerationSpec,
     BackendSpec,

@@ -14,20 +14,20 @@ from rn_tools_ros.schemas import hull, message_schema
 from rn_tools_ros.sequence import PublishSequence, Sequencing
 from rn_tools_ros.service import Calling, CallService, served_model
 from rn_tools_ros.targets import Targets
+from roboneuron.server.host import Host
 from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import Derived, Schema
 from roboneuron.server.tool import Tool
 
 _SENT = "Fails when nobody subscribes."
 
 
-def derive_tools(endpoints: Iterable[Exposed], gate: MotionGate, taken: Collection[str]) -> list[Tool[Any]]:
+def derive_tools(endpoints: Iterable[Exposed], host: Host, taken: Collection[str]) -> list[Tool[Any]]:
     """The tools of the endpoints, in their order; those of one label, kind and type are one tool for all robots.
 
     Args:
         endpoints: what is exposed.
-        gate: what they send through.
+        host: what they read and send through.
         taken: names that other tools have.
     """
     groups: dict[tuple[str, str, str], list[Exposed]] = {}
@@ -41,21 +41,21 @@ def derive_tools(endpoints: Iterable[Exposed], gate: MotionGate, taken: Collecti
         for use in uses:
             name = tool_name(use, label, targets.first.robot, names)
             names.add(name)
-            tools.append(_make(use, name, label.replace("_", " "), targets, gate))
+            tools.append(_make(use, name, label.replace("_", " "), targets, host))
     return tools
 
 
-def _make(use: str, name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     makers = {"publish": _publish, "sequence": _sequence, "read": _read, "service": _service, "action": _action}
-    return makers[use](name, noun, targets, gate)
+    return makers[use](name, noun, targets, host)
 
 
-def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
-        properties["duration_s"] = {"maximum": gate.max_duration_s}
+        properties["duration_s"] = {"maximum": host.gate.max_duration_s}
         stops = any(e.endpoint.stop_message for e in targets.endpoints)
         lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
     elif targets.trajectory:
@@ -71,12 +71,12 @@ def _publish(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[A
             required=_required(targets, "message", message_of(targets.first).fields),
         ),
         result=Delivery,
-        handler=Publishing(gate, targets, name),
+        handler=Publishing(host.gate, targets, name),
         open_world=True,
     )
 
 
-def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     needed = [
         *(["message"] if message_of(targets.first).fields else []),
         *([] if targets.trajectory else ["duration_s"]),
@@ -86,7 +86,7 @@ def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[
         "properties": {
             "message": {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."},
             "duration_s": {
-                "type": "number", "exclusiveMinimum": 0, "maximum": gate.max_duration_s,
+                "type": "number", "exclusiveMinimum": 0, "maximum": host.gate.max_duration_s,
                 "description": "How long this step lasts, in seconds.",
             },
         },
@@ -102,7 +102,7 @@ def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[
         name=name,
         title=f"Publish {noun}, step by step",
         description=(
-            f"{targets.describe()} Plays the steps one after the other, at most {gate.max_duration_s:g} s, and "
+            f"{targets.describe()} Plays the steps one after the other, at most {host.gate.max_duration_s:g} s, and "
             f"returns at the end; cancelling the call or emergency_stop ends it at once. {end}{_SENT}"
         ),
         arguments=Derived(
@@ -111,12 +111,12 @@ def _sequence(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[
             required=[*targets.arguments, "steps"],
         ),
         result=Delivery,
-        handler=Sequencing(gate, targets, name),
+        handler=Sequencing(host.gate, targets, name),
         open_world=True,
     )
 
 
-def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     return Tool(
         name=name,
         title=f"Read {noun}",
@@ -125,14 +125,14 @@ def _read(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]
             model=Read, properties={**targets.schema(), "count": {}, "timeout_s": {}}, required=targets.arguments
         ),
         result=messages_model(targets),
-        handler=Reading(gate, targets, name),
+        handler=Reading(host, targets, name),
         read_only=True,
         idempotent=True,
         open_world=True,
     )
 
 
-def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     interface = service_of(targets.first)
     request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
     return Tool(
@@ -145,18 +145,18 @@ def _service(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[A
             required=_required(targets, "request", interface.request.fields),
         ),
         result=served_model(targets),
-        handler=Calling(gate, targets, name),
+        handler=Calling(host.gate, targets, name),
         open_world=True,
     )
 
 
-def _action(name: str, noun: str, targets: Targets, gate: MotionGate) -> Tool[Any]:
+def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     interface = action_of(targets.first)
-    sending = GoalSending(gate, targets, name)
+    sending = GoalSending(host.gate, targets, name)
     properties = {
         **targets.schema(),
         "goal": message_schema(interface.goal, hull([e.endpoint for e in targets.endpoints])),
-        "timeout_s": {"maximum": gate.max_duration_s, "default": sending.timeout_s},
+        "timeout_s": {"maximum": host.gate.max_duration_s, "default": sending.timeout_s},
         "server_timeout_s": {},
         "dry_run": {},
     }

@@ -10,8 +10,9 @@ from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, numbe
 from rn_tools_ros.interfaces import load_interface
 from rn_tools_ros.options import DiscoverConfig
 from rn_tools_ros.pattern_limits import OTHERS
+from rn_tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron.errors import ConfigurationError
-from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate import check_endpoint
 from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.server.motion.exposed import Exposed
 

@@ -11,10 +11,11 @@ from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, 
 from rn_tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
 from rn_tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_tools_ros.pattern_limits import pattern_limits
+from rn_tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron.config import Config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.gate import ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate import check_endpoint
 from roboneuron.gate.joints import JOINT_TYPES
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.registry import Registry

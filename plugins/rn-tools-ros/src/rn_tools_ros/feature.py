@@ -16,6 +16,7 @@ from rn_tools_ros.discovery import LiveGraph
 from rn_tools_ros.exposing import Admin, ExposureChange, exposing_tools
 from rn_tools_ros.exposure import Exposure, exposure, unique
 from rn_tools_ros.generic import generic_tools
+from rn_tools_ros.graph import RosGraph
 from rn_tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_tools_ros.parameter_calls import parameter_endpoints
 from rn_tools_ros.parameters import parameter_tools
@@ -65,17 +66,17 @@ class RosTools(Feature[RosToolsOptions]):
         """
         self._host = host
         check_patterns(self.options.discover)
-        tools = generic_tools(lambda: self.exposed, host.graph)
+        tools = generic_tools(lambda: self.exposed, RosGraph(host))
         if host.identifies_clients or self.options.direct.expose_without_token:
             tools += exposing_tools(self, self.options.direct.expose_without_token)
         self._derive(self._configured(), taken={tool.name for tool in tools})
-        host.events.on_change(self._on_module)
+        host.events.change.listen(self._on_module)
         return tools
 
     def start(self, host: Host) -> None:
         """Begin to watch the graph, where the configuration wants that."""
         self._graph = LiveGraph(
-            self.options.discover, host.config, host.graph, lambda: self._named, self._profile, self._on_discovered
+            self.options.discover, host.config, RosGraph(host), lambda: self._named, self._profile, self._on_discovered
         )
         self._graph.start()
 
@@ -174,10 +175,9 @@ class RosTools(Feature[RosToolsOptions]):
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
     def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[Tool[Any]]:
-        gate = self._host.gate
-        settings = parameter_tools(configured.nodes, gate)
+        settings = parameter_tools(configured.nodes, self._host.gate)
         names = {*self._host.tools.names(besides=FEATURE.name), *taken, *(tool.name for tool in settings)}
-        derived = derive_tools(endpoints, gate, names | _DIRECTORY)
+        derived = derive_tools(endpoints, self._host, names | _DIRECTORY)
         if len(derived) <= self.options.direct.listed_tools:
             return [*settings, *derived]
         unlisted = [replace(tool, listed=False) for tool in derived]

@@ -8,9 +8,9 @@ from typing import Any
 from pydantic import Field
 
 from rn_tools_ros.exposure import Exposure
+from rn_tools_ros.graph import RosGraph
 from rn_tools_ros.interfaces import ActionInterface, Interface, ServiceInterface, list_interfaces, load_interface
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.server.host import RosGraph
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 
 

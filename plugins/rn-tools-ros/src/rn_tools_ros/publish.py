@@ -11,9 +11,10 @@ from pydantic import Field
 from rn_tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.calls import duration_s as trajectory_s
 from rn_tools_ros.exposed_types import message_of
+from rn_tools_ros.steps import Step, publish_steps
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.delivery import Sent
 from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.tool import CallContext, Result, Stage
@@ -74,13 +75,15 @@ class Publishing:
             durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=arguments.dry_run,
         )  # fmt: skip
         if not step.duration_s:
-            sent = self._gate.publish_now(exposed, request)
+            sent = self._gate.publish_now(exposed, request, stamped=step.stamped)
             if sent is not None:
                 return to_delivery(exposed, sent)
         halt = threading.Event()
 
         def work(stage: Stage) -> Sent:
-            return self._gate.publish(exposed, request, [step], timeout_s=arguments.timeout_s, stage=stage, halt=halt)
+            return publish_steps(
+                self._gate, exposed, request, [step], timeout_s=arguments.timeout_s, stage=stage, halt=halt
+            )
 
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 

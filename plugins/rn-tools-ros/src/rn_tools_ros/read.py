@@ -10,11 +10,12 @@ from pydantic import Field
 
 from rn_tools_ros.calls import RobotCall, Value
 from rn_tools_ros.exposed_types import message_of
+from rn_tools_ros.reading import read_messages
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
+from roboneuron.server.host import Host
 from roboneuron.server.motion.exposed import Exposed, gate_request
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Picture, Reply, Result
 
@@ -53,15 +54,15 @@ def messages_model(targets: Targets) -> Derived[Messages]:
 class Reading:
     """The handler of one read tool."""
 
-    def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
-        self._gate = gate
+    def __init__(self, host: Host, targets: Targets, tool: str) -> None:
+        self._host = host
         self._targets = targets
         self._tool = tool
 
     async def __call__(self, arguments: Read, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        self._gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(
             lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt), on_cancel=halt.set
@@ -69,7 +70,7 @@ class Reading:
 
     def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
         part = message_of(exposed)
-        got = self._gate.read(exposed, count=count, timeout_s=timeout_s, halt=halt)
+        got = read_messages(self._host, exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
             who = "Nobody publishes" if not got.publishers else f"{got.publishers} publish, but nothing came on"
             raise NotReadyError(

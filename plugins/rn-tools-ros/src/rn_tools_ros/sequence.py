@@ -11,9 +11,10 @@ from pydantic import Field
 from rn_tools_ros.calls import PublishingCall, Value, duration_s
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.publish import Delivery, encode_step, to_delivery
+from rn_tools_ros.steps import Step, publish_steps
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Sent, Step
+from roboneuron.server.motion.delivery import Sent
 from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.tool import Arguments, CallContext, Stage
@@ -68,7 +69,9 @@ class Sequencing:
         halt = threading.Event()
 
         def work(stage: Stage) -> Sent:
-            return self._gate.publish(exposed, request, played, timeout_s=arguments.timeout_s, stage=stage, halt=halt)
+            return publish_steps(
+                self._gate, exposed, request, played, timeout_s=arguments.timeout_s, stage=stage, halt=halt
+            )
 
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 

@@ -13,8 +13,7 @@ from typing import NamedTuple, Protocol, cast
 from roboneuron.cli.terminal import add_verbosity, apply_verbosity
 from roboneuron.errors import PluginError
 from roboneuron.plugins.loading import load_target
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 
 
 class Command(NamedTuple):

@@ -18,8 +18,8 @@ from roboneuron.cli.commands import (
     spoken,
 )
 from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error, with_verbosity_behind
+from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.packages import package_of
 from roboneuron.plugins.registry import Registry
 
 EXIT_OK = 0

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roboneuron import __version__
+from roboneuron.plugins.availability import START, install_command
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.packages import START, install_command
-from roboneuron.plugins.record import Offer, PluginRecord, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION
 
 SCHEMA_VERSION = 1

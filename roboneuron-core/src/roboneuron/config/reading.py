@@ -16,11 +16,10 @@ from pydantic import BaseModel, ValidationError
 
 from roboneuron.config.models import Config
 from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.packages import install_command, package_of
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch, LatchState
 from roboneuron.gate.gate import Gate
-from roboneuron.gate.limits import ConfiguredLimits, check_endpoint, tighten
+from roboneuron.gate.limits import check_endpoint
 from roboneuron.gate.request import ADMIN, OPERATOR, ROLES, VIEWER, AllowedEndpoint, Clamp, GateRequest, Verdict
 
 __all__ = [
@@ -17,12 +17,10 @@ __all__ = [
     "AuditLog",
     "AuditRecord",
     "Clamp",
-    "ConfiguredLimits",
     "EmergencyStopLatch",
     "Gate",
     "GateRequest",
     "LatchState",
     "Verdict",
     "check_endpoint",
-    "tighten",
 ]

@@ -21,10 +21,8 @@ import pluggy
 from roboneuron.errors import ConfigurationError, PluginError
 from roboneuron.plugins import availability, hookspecs
 from roboneuron.plugins.descriptor import check_spec, is_compatible
-from roboneuron.plugins.hooks import Hooks
-from roboneuron.plugins.markers import PROJECT
-from roboneuron.plugins.record import SEVERITY, Offer, PluginRecord, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.hookspecs import PROJECT, Hooks
+from roboneuron.plugins.registry import SEVERITY, Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
@@ -178,7 +176,7 @@ def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
             raise PluginError(f"{module.__name__}.{name} is no hook; did you mean {close}?")
         if not marked:
             raise PluginError(
-                f"{module.__name__}.{name} is not decorated, expected @hookimpl from roboneuron.plugins.markers."
+                f"{module.__name__}.{name} is not decorated, expected @hookimpl from roboneuron.plugins.hookspecs."
             )
 
 

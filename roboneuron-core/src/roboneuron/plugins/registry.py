@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal, overload
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.packages import install_command, package_of
-from roboneuron.plugins.record import Offer, PluginRecord, Status
+from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.specs import (
     KINDS,
     AccelerationSpec,
@@ -23,6 +23,61 @@ from roboneuron.plugins.specs import (
     RuntimeSpec,
     Spec,
 )
+
+
+class Status(StrEnum):
+    """Whether something can be used. The order is the order of severity: a plugin has the worst of its offers."""
+
+    READY = "ready"
+    DISABLED = "disabled"
+    UNAVAILABLE = "unavailable"
+    INCOMPATIBLE = "incompatible"
+    CONFLICT = "conflict"
+    FAILED = "failed"
+
+
+SEVERITY: tuple[Status, ...] = tuple(Status)
+"""Statuses from best to worst."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Offer:
+    """One descriptor that an installed plugin offers.
+
+    Attributes:
+        spec: the descriptor.
+        distribution: name of the package it comes from.
+        status: READY when it can be used.
+        reason: why not, and what to do about it; empty when ready.
+    """
+
+    spec: Spec
+    distribution: str
+    status: Status
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PluginRecord:
+    """One entry point of the group `roboneuron`.
+
+    Attributes:
+        distribution: name of the package.
+        version: its version; empty when its metadata have none.
+        module: the plugin module that the entry point names.
+        status: the worst of its offers, or FAILED or DISABLED for the whole.
+        reason: why it is not ready; empty when it is.
+        traceback: of the exception that made it fail; empty otherwise.
+        offers: what it offers, in the order of its hooks, also what cannot be used.
+    """
+
+    distribution: str
+    version: str
+    module: str
+    status: Status
+    reason: str = ""
+    traceback: str = ""
+    offers: tuple[Offer, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,21 +100,13 @@ class Registry:
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     @overload
-    def specs(self, kind: Literal["backend"]) -> Mapping[str, BackendSpec]: ...
-    @overload
     def specs(self, kind: Literal["runtime"]) -> Mapping[str, RuntimeSpec]: ...
     @overload
     def specs(self, kind: Literal["acceleration"]) -> Mapping[str, AccelerationSpec]: ...
     @overload
-    def specs(self, kind: Literal["perception"]) -> Mapping[str, PerceptionSpec]: ...
-    @overload
-    def specs(self, kind: Literal["controller"]) -> Mapping[str, ControllerSpec]: ...
-    @overload
     def specs(self, kind: Literal["robot"]) -> Mapping[str, RobotSpec]: ...
     @overload
     def specs(self, kind: Literal["feature"]) -> Mapping[str, FeatureSpec]: ...
-    @overload
-    def specs(self, kind: Literal["command"]) -> Mapping[str, CommandSpec]: ...
     @overload
     def specs(self, kind: str) -> Mapping[str, Spec]: ...
     def specs(self, kind: str) -> Mapping[str, Spec]:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
-from roboneuron.ros.qos import NEWEST, are_publishers_reliable, sensor_subscription
+from roboneuron.ros.qos import NEWEST, requested_qos
 
 M = TypeVar("M")
 _LOOK_AGAIN_S = 0.25
@@ -22,7 +23,7 @@ class _FollowingSubscription:
         self._topic = topic
         self._message_type = message_type
         self._deliver = deliver
-        self._reliable = are_publishers_reliable(node, topic)
+        self._qos = self._wanted()
         self._subscription = self._create()
         self._timer = node.create_timer(_LOOK_AGAIN_S, self._look)
 
@@ -31,13 +32,15 @@ class _FollowingSubscription:
         self._node.destroy_subscription(self._subscription)
 
     def _create(self) -> object:
-        qos = sensor_subscription(self._reliable)
-        return self._node.create_subscription(self._message_type, self._topic, self._deliver, qos)
+        return self._node.create_subscription(self._message_type, self._topic, self._deliver, self._qos)
+
+    def _wanted(self) -> QoSProfile:
+        return requested_qos(self._node.get_publishers_info_by_topic(self._topic), 1, latched=False)
 
     def _look(self) -> None:
-        reliable = are_publishers_reliable(self._node, self._topic)
-        if reliable != self._reliable:
-            self._reliable = reliable
+        wanted = self._wanted()
+        if wanted != self._qos:
+            self._qos = wanted
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._create()
 

@@ -16,7 +16,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from roboneuron.errors import InternalError
-from roboneuron.ros.qos import are_publishers_reliable
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -149,14 +148,6 @@ class RosLink:
     def is_service_ready(self, service_type: type, name: str) -> bool:
         """Whether somebody serves it, as far as this node has discovered."""
         return bool(self._client(service_type, name).service_is_ready())
-
-    def publisher_types(self, topic: str) -> list[str]:
-        """Message types that are published on an absolute topic, one for each publisher."""
-        return [str(info.topic_type) for info in self._node.get_publishers_info_by_topic(topic)]
-
-    def are_publishers_reliable(self, topic: str) -> bool:
-        """False when any publisher of the topic is best effort; True without publishers."""
-        return are_publishers_reliable(self.node, topic)
 
     def _client(self, service_type: type, name: str) -> Client:
         with self._lock:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -34,17 +37,47 @@ STATUS = QoSProfile(
 """/diagnostics: several modules write to one topic."""
 
 
-def sensor_subscription(publishers_reliable: bool) -> QoSProfile:
-    """Depth 1, as reliable as the publishers are: a reliable subscription never matches a best-effort camera driver."""
+_DEPTH = 10
+
+
+def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
+    """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
+
+    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
+    """
+    profile = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+    asked = [info.qos_profile for info in subscriptions]
+    if any(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in asked):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    deadlines = [qos.deadline.nanoseconds for qos in asked if qos.deadline.nanoseconds > 0]
+    if deadlines:
+        profile.deadline = Duration(nanoseconds=min(deadlines))
+    if any(qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC for qos in asked):
+        profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+    leases = [q.liveliness_lease_duration.nanoseconds for q in asked if q.liveliness_lease_duration.nanoseconds > 0]
+    if leases:
+        profile.liveliness_lease_duration = Duration(nanoseconds=min(leases))
+    return profile
+
+
+def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:
+    """A subscription profile that every given publisher matches; if `latched`, it gets the last value too."""
+    offered = [info.qos_profile for info in publishers]
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = latched and bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=1,
-        reliability=ReliabilityPolicy.RELIABLE if publishers_reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.VOLATILE,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
-def are_publishers_reliable(node: Node, topic: str) -> bool:
-    """False when any publisher of the topic is best effort; True without publishers."""
-    infos = node.get_publishers_info_by_topic(topic)
-    return all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in infos)
+def qos_key(profile: QoSProfile) -> tuple[object, ...]:
+    """What has to be the same for a publisher to be kept."""
+    return (
+        profile.durability,
+        profile.deadline.nanoseconds,
+        profile.liveliness,
+        profile.liveliness_lease_duration.nanoseconds,
+    )

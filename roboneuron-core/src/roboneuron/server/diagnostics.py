@@ -7,16 +7,15 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
-from roboneuron.supervisor.watch import EXPLANATIONS, FAULTS, Health
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
 
 
 class HealthDiagnostics:
-    """Publishes every change of a module's health; `publish` is a listener of `Events.on_health`."""
+    """Publishes every change of a module's health; `publish` is a listener of `Events.health`."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor

@@ -23,8 +23,8 @@ from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.server.events import Events
+from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView
 
 log = logging.getLogger(__name__)
 _ROUNDS = 3
@@ -210,12 +210,12 @@ class SafetyReports:
         """The modules; faults are reported on the way."""
         if restored := self._emergency_stop.take_restored():
             what = "its file vanished without a reset and was written again; everything stays stopped"
-            self._events.tell_fault("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
+            self._events.fault.tell("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
         views = self._supervisor.views()
         for view in views:
             count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
             if count > self._foreign.get(view.kind, 0) and view.report is not None:
                 told = {"explanation": view.report.metrics.get(FOREIGN_REQUEST, ""), "count": count}
-                self._events.tell_fault(view.kind, FOREIGN_REQUEST, told)
+                self._events.fault.tell(view.kind, FOREIGN_REQUEST, told)
             self._foreign[view.kind] = count
         return views

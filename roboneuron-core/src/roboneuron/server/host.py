@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from roboneuron.errors import StateError
-from roboneuron.ros.graph import RosGraph as RosGraph
 
 if TYPE_CHECKING:
     from mcp.server import Server
@@ -22,6 +21,20 @@ if TYPE_CHECKING:
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.supervisor.supervisor import Supervisor
 
+
+class GraphNode(Protocol):
+    """The part of `rclpy.node.Node` that tells of the ROS graph; `info` is an `rclpy` TopicEndpointInfo."""
+
+    def get_name(self) -> str: ...
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]: ...
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]: ...
+    def get_service_names_and_types(self) -> list[tuple[str, list[str]]]: ...
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]: ...
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[Any]: ...
+    def count_publishers(self, topic_name: str) -> int: ...
+    def count_subscribers(self, topic_name: str) -> int: ...
+
+
 F = TypeVar("F")
 M = TypeVar("M")
 
@@ -30,14 +43,10 @@ class Host:
     """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
 
     Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as for every caller.
-
-    Attributes:
-        graph: what the ROS graph shows now.
     """
 
     def __init__(self, application: Application) -> None:
         self._application = application
-        self.graph = RosGraph(lambda: application.supervisor.link.node)
 
     @property
     def config(self) -> Config:
@@ -99,13 +108,25 @@ class Host:
         """Monotonic time of the server's start [s]."""
         return self._application.started_s
 
-    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
-        """Call `callback` with the newest message of a topic, from the thread of the ROS node; it must return quickly.
+    @property
+    def graph(self) -> GraphNode:
+        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when ROS cannot be joined."""
+        node: GraphNode = self.supervisor.link.node
+        return node
+
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None], *, depth: int = 1, latched: bool = False
+    ) -> Callable[[], None]:
+        """Call `callback` with each message of a topic, from the thread of the ROS node; it must return quickly.
+
+        The subscription is as reliable as those are who publish the topic now.
 
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace, or absolute.
             callback: called with each message.
+            depth: how many messages wait for it; only the newest is kept by default.
+            latched: also take the last message that came before, where all publishers keep it.
 
         Returns:
             What ends it.
@@ -113,11 +134,12 @@ class Host:
         Raises:
             RoboNeuronError: ROS cannot be joined.
         """
-        from roboneuron.ros.qos import sensor_subscription  # heavy
+        link = self.supervisor.link  # first: two threads must not import rclpy at the same time
+        from roboneuron.ros.qos import requested_qos  # heavy
 
         place = topic if topic.startswith("/") else f"/{self.config.namespace}/{topic}"
-        link = self.supervisor.link
-        return link.subscribe(message_type, place, callback, sensor_subscription(link.are_publishers_reliable(place)))
+        qos = requested_qos(link.node.get_publishers_info_by_topic(place), depth, latched=latched)
+        return link.subscribe(message_type, place, callback, qos)
 
     def resource_updated(self, uri: str) -> None:
         """Tell clients that subscribed to a resource that it changed."""

@@ -1,17 +1,31 @@
-"""The tools that start, instruct and stop the modules of the closed loop."""
+"""The tools that start, instruct and stop the modules of the closed loop, and the emergency stop and its reset."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from pydantic import Field
 
+from roboneuron.errors import RefusedError, UnsafeError
+from roboneuron.gate.request import ADMIN, VIEWER
 from roboneuron.modules.settings import MODULE_KINDS
+from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KINDS, KindEntry
-from roboneuron.server.requests import MAX_INSTRUCTION_LENGTH
-from roboneuron.server.results import InstructionResult, StopAllResult, StopResult, stop_result
-from roboneuron.server.start_tools import start_tools
+from roboneuron.server.module_kinds import KINDS, MAX_INSTRUCTION_LENGTH, KindEntry
+from roboneuron.server.results import (
+    EmergencyStopResult,
+    InstructionResult,
+    StartResult,
+    StopAllResult,
+    StopResult,
+    module_summary,
+    stop_result,
+)
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
 
 
@@ -93,3 +107,125 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
         open_world=True,
         always=True,
     )
+
+
+def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """One for each kind of module, in their usual order."""
+    return [_start_tool(loop, entry) for entry in KINDS.values()]
+
+
+def plugin_choices(loop: ClosedLoop, entry: KindEntry) -> dict[str, Callable[[], dict[str, str]]]:
+    """The plugins that the arguments of a kind's tools can name."""
+    return {argument: partial(loop.plugins.choices, kind) for argument, kind in entry.choices.items()}
+
+
+def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+    async def handler(request: Arguments, context: CallContext) -> StartResult:
+        started_s = time.monotonic()
+        view = await context.run(
+            lambda stage: loop.start(entry.kind, request, stage, context.role),
+            on_cancel=lambda: loop.cancel(entry.kind),
+        )
+        return StartResult(**module_summary(view), took_s=round(time.monotonic() - started_s, 3))
+
+    return Tool(
+        name=f"start_{entry.kind}",
+        title=entry.title,
+        description=f"{entry.start_text} Returns when it works ({entry.proof}); on any failure nothing is left "
+        "running. An error if it already runs.",
+        arguments=entry.request,
+        result=StartResult,
+        handler=handler,
+        open_world=True,
+        choices=plugin_choices(loop, entry),
+    )
+
+
+class EmergencyStopArguments(Arguments):
+    """Arguments of emergency_stop."""
+
+    reason: str = Field(default="", max_length=500, description="Why; kept in the latch and in the audit.")
+
+
+def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """emergency_stop and reset_emergency_stop."""
+    stop = loop.emergency_stop
+
+    def press(arguments: Mapping[str, Any], context: CallContext) -> None:
+        """Latch before anything else: also when ROS is not joined yet, and when the arguments are wrong."""
+        with suppress(UnsafeError):  # told by the call itself, which tries again
+            stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
+
+    async def ask_person(context: CallContext) -> None:
+        """Raises RefusedError unless a person agreed to release this very stop."""
+        before, cause = stop.file.read_state(), stop.cause()
+        since = (
+            datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
+            .astimezone()
+            .isoformat(" ", "milliseconds")
+        )
+        agreed = await context.ask(  # the time makes a question about another stop another question
+            f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. Release it? "
+            "Look at the robot first: a policy that still has an instruction goes on with it."
+        )
+        if agreed and stop.file.read_state().time_ns == before.time_ns:
+            return
+        why = {None: "this client cannot ask one", False: "nobody agreed"}.get(agreed, "it was pressed again")
+        raise RefusedError(
+            f"Only a person releases the emergency stop, and {why}. It stays latched.",
+            hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
+            f"{reset_command(stop.file.path.parent)}",
+        )
+
+    async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
+        confirmed, took_s = await context.run(
+            lambda _: stop.latch(loop.config.namespace, who=context.who, reason=arguments.reason)
+        )
+        note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
+        return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+
+    async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
+        who = context.who
+        if loop.base.server.reset_emergency_stop == "person" and stop.is_latched():
+            await ask_person(context)
+            who = f"a person asked by {who}"
+        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace, who=who, role=context.role))
+        note = "Nothing moves by itself; a running backend acts again on the next image."
+        return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+
+    return [
+        Tool(
+            name="emergency_stop",
+            title="Emergency stop",
+            description=(
+                "Stop all motion now and keep it stopped until reset_emergency_stop, across restarts of anything. "
+                "Modules go on running. Returns when every running module has confirmed it; an error names those that "
+                "have not."
+            ),
+            arguments=EmergencyStopArguments,
+            result=EmergencyStopResult,
+            handler=latch,
+            destructive=True,
+            idempotent=True,
+            open_world=True,
+            role=VIEWER,  # whoever sees the robot may stop it
+            always=True,
+            urgent=press,
+        ),
+        Tool(
+            name="reset_emergency_stop",
+            title="Release the emergency stop",
+            description=(
+                "Release the emergency stop. A person decides: the client asks one, if it can; otherwise the call is "
+                "refused and says what a person has to do. A backend that still has an instruction goes on with it: "
+                "stop_inference first if it should not."
+            ),
+            arguments=NoArguments,
+            result=EmergencyStopResult,
+            handler=reset,
+            destructive=True,
+            idempotent=True,
+            open_world=True,
+            role=ADMIN,
+        ),
+    ]

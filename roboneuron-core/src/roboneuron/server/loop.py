@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import Config
-from roboneuron.errors import RefusedError
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.server.compatibility import check_compatible
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.server.emergency import EmergencyStop
-from roboneuron.server.instructing import instruct
-from roboneuron.server.module_kinds import KINDS
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import Selection, check_instruction
+from roboneuron.server.selection import Selection, check_compatible, check_instruction, select
 from roboneuron.server.stream import ActionStream
 from roboneuron.server.tool import Arguments
-from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.supervisor import Supervisor
-from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
     from roboneuron.plugins.specs import RobotSpec
+
+
+_PARAMETER_S = 5.0
 
 
 def ignore_stage(_: str) -> None:
@@ -57,14 +57,16 @@ class ClosedLoop:
         spec = self.plugins.current().specs("robot").get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
-    def select(self, kind: ModuleKind, request: Arguments, role: str = "") -> Selection:
-        """What a client with `role` asks for, checked against all that is installed and runs; changes nothing.
+    def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
+        """What a client with `role` asks for, or else what is configured, checked against what is installed and runs.
+
+        Nothing is changed.
 
         Raises:
-            RoboNeuronError: as the kind's function in `roboneuron.server.selection`, and as `check`.
+            RoboNeuronError: as `roboneuron.server.selection.select`, and as `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = KINDS[kind].select(config, self.plugins.current(), request, role)
+        selection = select(kind, config, self.plugins.current(), request, role)
         self.check(selection)
         return selection
 
@@ -88,7 +90,7 @@ class ClosedLoop:
         Raises:
             RoboNeuronError: as `select` and `Supervisor.start`.
         """
-        return self.start_selected(self.select(kind, request or KINDS[kind].request(), role), on_stage)
+        return self.start_selected(self.select(kind, request, role), on_stage)
 
     def start_selected(self, selection: Selection, on_stage: Stage) -> ModuleView:
         """Start what `select` returned. Raises as `Supervisor.start`."""
@@ -143,9 +145,41 @@ class ClosedLoop:
             NotReadyError: no action within the time; the message says what is missing.
         """
         text = check_instruction(text)
-        self.supervisor.require_running("inference")
+        view = self.supervisor.require_running("inference")
         self._check_not_latched()
-        return instruct(self.supervisor, text, timeout_s)
+        before = view.report
+        count = before.instruction_count if before is not None else 0
+        errors = before.error_count if before is not None else 0
+        started_s = time.monotonic()
+        assert view.choice is not None
+        assert view.process is not None
+        node = f"/{view.choice.settings.status_name}"
+        parameters = self.supervisor.parameters(node, view.process)
+        refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
+        if refused:
+            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
+
+        def settled() -> Report | None:
+            report = self.supervisor.require_running("inference").report
+            if report is None or report.instruction_count <= count:
+                return None
+            if report.actions_for_instruction > 0:
+                return report
+            failure = report.failure()
+            if failure is not None and report.error_count > errors:
+                raise failure
+            return None
+
+        report = self.supervisor.changes.wait_for(settled, timeout_s)
+        if report is None:
+            newest = self.supervisor.view("inference").report
+            missing = newest.waiting_for or newest.note if newest is not None else "its status"
+            raise NotReadyError(
+                f"The backend has published no action for {text!r} within {timeout_s:g} s; it waits for: "
+                f"{missing or 'its first inference'}.",
+                hint="The instruction stays set; see get_status, or give another one.",
+            )
+        return report, time.monotonic() - started_s
 
     def _check_not_latched(self) -> None:
         if self.emergency_stop.is_latched():

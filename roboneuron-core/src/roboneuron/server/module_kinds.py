@@ -2,25 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
-from roboneuron.config import Config
+from pydantic import Field
+
+from roboneuron.config import ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.plugins.registry import Registry
-from roboneuron.server.requests import StartControl, StartInference, StartPerception, StartRobot
-from roboneuron.server.selection import (
-    Selection,
-    select_control,
-    select_inference,
-    select_perception,
-    select_robot,
-)
 from roboneuron.server.tool import Arguments
 
-Select = Callable[[Config, Registry, Any, str], Selection]
-"""Called with the configuration, the installed plugins, a request of the kind's model, and the client's role."""
+Section = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
+MAX_INSTRUCTION_LENGTH = 1000
+"""The inference module refuses longer ones."""
+
+Options = Annotated[
+    dict[str, Any],
+    Field(
+        default_factory=dict,
+        description="Options of the plugin, laid over [plugins.<name>] of the configuration; what names hosts, files, "
+        "devices or commands is for the configuration only.",
+    ),
+]
+
+
+class StartRobot(Arguments):
+    """Arguments of start_robot."""
+
+    robot: str | None = Field(default=None, description="Which robot; the configured one when omitted.")
+    driver: str | None = Field(
+        default=None, description="How it is moved, see list_robots; the configured driver when omitted."
+    )
+    options: Options
+
+
+class StartPerception(Arguments):
+    """Arguments of start_perception."""
+
+    source: str | None = Field(default=None, description="Where images come from; the configured one when omitted.")
+    cameras: list[str] = Field(
+        default_factory=list, description="Cameras of the robot to serve; all of them when omitted."
+    )
+    options: Options
+
+
+class StartControl(Arguments):
+    """Arguments of start_control."""
+
+    controller: str | None = Field(
+        default=None, description="What turns actions into joint commands; the configured one when omitted."
+    )
+    options: Options
+
+
+class StartInference(Arguments):
+    """Arguments of start_inference."""
+
+    backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
+    checkpoint: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Directory of the model's files, for backends that need one; one that the configuration names or "
+        "that lies in its checkpoint_roots.",
+    )
+    runtime: str | None = Field(
+        default=None, description="Engine that executes the model; the backend's own default when omitted."
+    )
+    acceleration: str | None = Field(default=None, description="Acceleration preset; none when omitted.")
+    instruction: str | None = Field(
+        default=None,
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description='What to do, for instance "pick up the red cube"; can be given later with set_instruction.',
+    )
+    cameras: dict[str, str] | None = Field(
+        default=None, description="Camera name by role of the backend; the robot's own roles when omitted."
+    )
+    options: Options
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,9 +86,9 @@ class KindEntry:
 
     Attributes:
         kind: which one; its node class is in `roboneuron.modules.settings.MODULE_CLASSES`.
-        noun: what such a module runs, for messages.
+        noun: what such a module runs; the argument of its start tool that names it is called so.
+        section: model of its section.
         request: arguments of its start tool.
-        select: turns a request into what is started, or refuses it.
         choices: arguments that name plugins -> kind of these plugins.
         title, start_text: of its start tool.
         proof: what shows that a start has succeeded.
@@ -40,8 +97,8 @@ class KindEntry:
 
     kind: ModuleKind
     noun: str
+    section: type[Section]
     request: type[Arguments]
-    select: Select
     choices: Mapping[str, str]
     title: str
     start_text: str
@@ -53,8 +110,8 @@ _TABLE = (
     KindEntry(
         kind="robot",
         noun="robot",
+        section=RobotConfig,
         request=StartRobot,
-        select=select_robot,
         choices={"robot": "robot"},
         title="Start the robot",
         start_text="Connect to the robot, or start its simulation; it holds where it is.",
@@ -64,8 +121,8 @@ _TABLE = (
     KindEntry(
         kind="perception",
         noun="source",
+        section=PerceptionConfig,
         request=StartPerception,
-        select=select_perception,
         choices={"source": "perception"},
         title="Start the cameras",
         start_text="Open the cameras and publish their images.",
@@ -75,8 +132,8 @@ _TABLE = (
     KindEntry(
         kind="control",
         noun="controller",
+        section=ControlConfig,
         request=StartControl,
-        select=select_control,
         choices={"controller": "controller"},
         title="Start the controller",
         start_text="Start turning actions into joint commands; the arm holds until actions come.",
@@ -86,8 +143,8 @@ _TABLE = (
     KindEntry(
         kind="inference",
         noun="backend",
+        section=InferenceConfig,
         request=StartInference,
-        select=select_inference,
         choices={"backend": "backend", "runtime": "runtime", "acceleration": "acceleration"},
         title="Start the policy",
         start_text="Load a backend (a vision-language-action model or a classical policy). With an instruction, and "

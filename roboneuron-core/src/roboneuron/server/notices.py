@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from anyio import BrokenResourceError, ClosedResourceError
@@ -54,36 +54,28 @@ class ToolNotices:
 
     def resource_updated(self, uri: str) -> None:
         """Tell those who want to know; callable from any thread."""
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._begin, self._tell_updated(uri))
+        subscribers = self._subscribers.setdefault(uri, {})
+        self._tell(ResourceUpdated(uri=uri), subscribers, lambda session: session.send_resource_updated(uri))
 
     def tools_changed(self) -> None:
         """Tell everybody; callable from any thread, does nothing before the first client."""
+        self._tell(ToolsListChanged(), self._sessions, lambda session: session.send_tool_list_changed())
+
+    def _tell(self, event: Any, sessions: dict[int, Any], send: Callable[[Any], Awaitable[None]]) -> None:
+        async def tell() -> None:
+            await self.bus.publish(event)
+            for key, session in list(sessions.items()):
+                try:
+                    await send(session)
+                except (BrokenResourceError, ClosedResourceError, MCPError) as error:
+                    log.debug("A client is gone: %r", error)
+                    sessions.pop(key, None)
+
+        def begin() -> None:
+            task = asyncio.ensure_future(tell())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._begin, self._tell())
-
-    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.ensure_future(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _tell(self) -> None:
-        await self.bus.publish(ToolsListChanged())
-        for key, session in list(self._sessions.items()):
-            try:
-                await session.send_tool_list_changed()
-            except (BrokenResourceError, ClosedResourceError, MCPError) as error:
-                log.debug("A client is gone: %r", error)
-                self._sessions.pop(key, None)
-
-    async def _tell_updated(self, uri: str) -> None:
-        await self.bus.publish(ResourceUpdated(uri=uri))
-        subscribers = self._subscribers.get(uri, {})
-        for key, session in list(subscribers.items()):
-            try:
-                await session.send_resource_updated(uri)
-            except (BrokenResourceError, ClosedResourceError, MCPError) as error:
-                log.debug("A client is gone: %r", error)
-                subscribers.pop(key, None)
+            loop.call_soon_threadsafe(begin)

@@ -1,17 +1,74 @@
-"""MCP resources: the status, and the logs of each module."""
+"""What the agent sees of the server: get_status, and the status and the logs of each module as MCP resources."""
 
 from __future__ import annotations
 
+import os
+import platform
+import time
 from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from roboneuron.modules.settings import MODULE_KINDS
+from roboneuron import __version__
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.observing import status
+from roboneuron.server.results import StatusResult, module_status
+from roboneuron.server.tool import CallContext, NoArguments, Tool
 from roboneuron.supervisor.process import read_tail
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of what matters when something is reported."""
+    found = {"roboneuron": __version__, "python": platform.python_version()}
+    for package in ("mcp", "ros-jazzy-rclpy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def status(loop: ClosedLoop, started_s: float) -> StatusResult:
+    """The status of everything, `started_s` being the monotonic time of the server's start."""
+    return StatusResult(
+        modules=[module_status(view) for view in loop.supervisor.views()],
+        emergency_stop=loop.emergency_stop.is_latched(),
+        emergency_stop_cause=loop.emergency_stop.cause(),
+        namespace=loop.config.namespace,
+        uptime_s=round(time.monotonic() - started_s, 1),
+        pid=os.getpid(),
+        versions=versions(),
+        log_directory=str(loop.supervisor.log_directory),
+    )
+
+
+def observing_tools(loop: ClosedLoop, started_s: float) -> list[Tool[Any]]:
+    """get_status."""
+
+    async def get_status(_: NoArguments, context: CallContext) -> StatusResult:
+        return status(loop, started_s)
+
+    return [
+        Tool(
+            name="get_status",
+            title="Status of everything",
+            description=(
+                "State, process, rates, latencies, ages, drops and errors of each module; the emergency stop; versions."
+            ),
+            arguments=NoArguments,
+            result=StatusResult,
+            handler=get_status,
+            read_only=True,
+            idempotent=True,
+        ),
+    ]
+
 
 STATUS_URI = "roboneuron://status"
 LOG_URI = "roboneuron://logs/"
@@ -22,65 +79,44 @@ class Resources:
     """Lists and reads them: the server's own, and those that features offer."""
 
     def __init__(self, loop: ClosedLoop, started_s: float, offered: Iterable[Resource] = ()) -> None:
-        self._loop = loop
-        self._started_s = started_s
-        self._offered = {resource.uri: resource for resource in offered}
+        own = Resource(
+            uri=STATUS_URI,
+            name="status",
+            title="Status of everything",
+            description="The answer of get_status.",
+            read=lambda: status(loop, started_s).model_dump_json(indent=2),
+            mime_type="application/json",
+        )
+        logs = [_log_of(kind, loop) for kind in MODULE_KINDS]
+        self._offered: dict[str, Resource] = {}
+        for resource in (own, *logs, *offered):
+            self._offered.setdefault(resource.uri, resource)
 
     def listing(self) -> list[types.Resource]:
         """What `resources/list` answers."""
         return [
-            types.Resource(
-                name="status",
-                title="Status of everything",
-                uri=STATUS_URI,
-                description="The answer of get_status.",
-                mime_type="application/json",
-            ),
-            *(
-                types.Resource(
-                    name=f"log of {source}",
-                    title=f"Log of {source}",
-                    uri=f"{LOG_URI}{source}",
-                    description=f"The last {LOG_LINES} lines that {source} has written.",
-                    mime_type="text/plain",
-                )
-                for source in MODULE_KINDS
-            ),
-            *(
-                types.Resource(
-                    name=offered.name,
-                    title=offered.title,
-                    uri=offered.uri,
-                    description=offered.description,
-                    mime_type=offered.mime_type,
-                )
-                for offered in self._offered.values()
-            ),
+            types.Resource(name=r.name, title=r.title, uri=r.uri, description=r.description, mime_type=r.mime_type)
+            for r in self._offered.values()
         ]
 
     def read(self, uri: str) -> types.TextResourceContents:
-        """What `resources/read` answers.
-
-        Raises:
-            MCPError: there is no such resource.
-        """
-        if uri == STATUS_URI:
-            text = status(self._loop, self._started_s).model_dump_json(indent=2)
-            return types.TextResourceContents(uri=uri, mime_type="application/json", text=text)
-        for source in MODULE_KINDS:
-            if uri == f"{LOG_URI}{source}":
-                lines = read_tail(self._loop.supervisor.log_path(source), lines=LOG_LINES)
-                return types.TextResourceContents(uri=uri, mime_type="text/plain", text="\n".join(lines))
-        offered = self._offered.get(uri)
-        if offered is not None:
-            return types.TextResourceContents(uri=uri, mime_type=offered.mime_type, text=offered.read())
-        raise self._unknown(uri)
+        """What `resources/read` answers. Raises as `check`."""
+        self.check(uri)
+        found = self._offered[uri]
+        return types.TextResourceContents(uri=uri, mime_type=found.mime_type, text=found.read())
 
     def check(self, uri: str) -> None:
         """Raises MCPError when there is no such resource."""
-        if uri not in [resource.uri for resource in self.listing()]:
-            raise self._unknown(uri)
+        if uri not in self._offered:
+            known = ", ".join(self._offered)
+            raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
 
-    def _unknown(self, uri: str) -> MCPError:
-        known = ", ".join(resource.uri for resource in self.listing())
-        return MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
+
+def _log_of(kind: ModuleKind, loop: ClosedLoop) -> Resource:
+    return Resource(
+        uri=f"{LOG_URI}{kind}",
+        name=f"log of {kind}",
+        title=f"Log of {kind}",
+        description=f"The last {LOG_LINES} lines that {kind} has written.",
+        read=lambda: "\n".join(read_tail(loop.supervisor.log_path(kind), lines=LOG_LINES)),
+    )

@@ -9,9 +9,8 @@ from pydantic import Field
 
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.tool import Result
+from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView, Stopped, assess
 from roboneuron.supervisor.slot import Phase
-from roboneuron.supervisor.view import ModuleView, Stopped
-from roboneuron.supervisor.watch import EXPLANATIONS, Health, assess
 
 STALE_S = 1.0
 """A module whose newest report is older than this (five periods) is shown as not responding."""
@@ -34,10 +33,19 @@ class ExitInfo(Result):
     last_lines: list[str] = Field(description="the end of its log")
 
 
-class ModuleStatus(Result):
-    """One module: what it does, how fast, how fresh, and what is wrong."""
+class ModuleSummary(Result):
+    """A module in short; get_status tells everything."""
 
     module: ModuleKind
+    phase: Phase
+    health: Health
+    pid: int | None = None
+    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
+
+
+class ModuleStatus(ModuleSummary):
+    """One module: what it does, how fast, how fresh, and what is wrong."""
+
     phase: Phase = Field(description="exited: it ended by itself, see `exit`")
     health: Health = Field(
         default="stopped",
@@ -45,11 +53,9 @@ class ModuleStatus(Result):
     )
     ready: bool = Field(default=False, description="it has proved that it works and still reports")
     responding: bool = Field(default=False, description="its newest report is at most 1 s old")
-    pid: int | None = None
     state: str = Field(default="", description="lifecycle state: unconfigured, configuring, inactive, active")
     started_at: str | None = Field(default=None, description="ISO 8601")
     uptime_s: float | None = None
-    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
     rate_hz: float | None = Field(default=None, description="rate of its output")
     latency_ms: float | None = Field(default=None, description="median from its input's stamp to its output")
     latency_p99_ms: float | None = None
@@ -72,16 +78,6 @@ class ModuleStatus(Result):
     detail: dict[str, str] = Field(default_factory=dict, description="facts of the robot or simulator")
     exit: ExitInfo | None = None
     log: str | None = Field(default=None, description="resource with its log")
-
-
-class ModuleSummary(Result):
-    """A module in short; get_status tells everything."""
-
-    module: ModuleKind
-    phase: Phase
-    health: Health
-    pid: int | None = None
-    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
 
 
 class StartResult(ModuleSummary):
@@ -149,59 +145,28 @@ def module_summary(view: ModuleView) -> dict[str, Any]:
 
 
 def module_status(view: ModuleView) -> ModuleStatus:
-    """What is known of a module, as the agent reads it."""
+    """What is known of a module, as the agent reads it: what it reports, in the report's own words."""
     process, report = view.process, view.report
-    exited = None
+    facts = {
+        **module_summary(view),
+        "started_at": process.started_at.isoformat(timespec="seconds") if process is not None else None,
+        "log": f"roboneuron://logs/{view.kind}",
+    }
     if view.exit is not None:
-        exited = ExitInfo(
-            pid=view.exit.pid,
-            code=view.exit.code,
-            at=view.exit.at.isoformat(timespec="milliseconds"),
-            last_lines=list(view.exit.last_lines),
-        )
-    common = ModuleStatus(
-        module=view.kind,
-        phase=view.phase,
-        health=assess(view, time.monotonic()),
-        pid=process.pid if process is not None and view.phase != "exited" else None,
-        started_at=process.started_at.isoformat(timespec="seconds") if process is not None else None,
-        started_with=dict(view.choice.names) if view.choice is not None else {},
-        exit=exited,
-        log=f"roboneuron://logs/{view.kind}",
-    )
+        at = view.exit.at.isoformat(timespec="milliseconds")
+        facts["exit"] = ExitInfo(pid=view.exit.pid, code=view.exit.code, at=at, last_lines=list(view.exit.last_lines))
     if report is None:
-        return common
+        return ModuleStatus(**facts)
     age_s = time.monotonic() - report.received_s
     responding = age_s <= STALE_S
     failure = report.failure()
-    return common.model_copy(
-        update={
-            "ready": report.ready and responding and view.phase == "running",
-            "responding": responding,
-            "state": report.state,
-            "uptime_s": report.uptime_s,
-            "rate_hz": report.rate_hz if responding else 0.0,
-            "latency_ms": report.latency_ms,
-            "latency_p99_ms": report.latency_p99_ms,
-            "age_ms": report.age_ms,
-            "report_age_s": round(age_s, 3),
-            "loop_age_s": report.loop_age_s,
-            "work_age_s": report.work_age_s,
-            "work_limit_s": report.work_limit_s,
-            "published": report.published,
-            "dropped": report.dropped,
-            "dropped_by": dict(report.dropped_by),
-            "waiting_for": report.waiting_for,
-            "instruction": report.instruction,
-            "actions_for_instruction": report.actions_for_instruction,
-            "note": report.note if responding else f"No report for {age_s:.1f} s.",
-            "error": Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None,
-            "error_count": report.error_count,
-            "emergency_stop": report.emergency_stop,
-            "metrics": dict(report.metrics),
-            "detail": dict(report.detail),
-        }
-    )
+    facts |= {name: value for name, value in vars(report).items() if name in ModuleStatus.model_fields}
+    facts["report_age_s"], facts["responding"] = round(age_s, 3), responding
+    facts["ready"] = report.ready and responding and view.phase == "running"
+    facts["error"] = Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None
+    if not responding:
+        facts["rate_hz"], facts["note"] = 0.0, f"No report for {age_s:.1f} s."
+    return ModuleStatus(**facts)
 
 
 def stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:

@@ -14,19 +14,19 @@ from roboneuron.errors import (
     PluginError,
     RoboNeuronError,
 )
+from roboneuron.plugins.availability import install_command, known_names
 from roboneuron.plugins.loading import load_options, load_options_model
-from roboneuron.plugins.packages import install_command, known_names
-from roboneuron.plugins.record import Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
 from roboneuron.server.module_kinds import KINDS, KindEntry
+from roboneuron.server.selection import select
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
     """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as the functions of `roboneuron.server.selection` and `check_sections`; all
+        ConfigurationError, PlanningError: as `select` and `check_sections`; all
             that is wrong.
     """
     configured = [entry for entry in KINDS.values() if getattr(config, entry.kind) is not None]
@@ -46,7 +46,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
 
 def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
     try:
-        entry.select(config, registry, entry.request(), "")
+        select(entry.kind, config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error

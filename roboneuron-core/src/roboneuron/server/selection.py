@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import CheckpointError, InvalidInputError, MissingDependencyError
+from roboneuron.errors import CheckpointError, InvalidInputError, MissingDependencyError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
-from roboneuron.server.option_rights import check_may_load, check_may_set
-from roboneuron.server.requests import StartControl, StartInference, StartPerception, StartRobot
+from roboneuron.server.access import check_may_load, check_may_set
+from roboneuron.server.module_kinds import KINDS, Section
+from roboneuron.server.tool import Arguments
+from roboneuron.supervisor.health import ModuleView
 
 Options = Mapping[str, Any]
 
@@ -42,134 +44,108 @@ class Selection:
     python: str | None
 
 
-def select_robot(config: Config, registry: Registry, request: StartRobot, role: str = "") -> Selection:
-    """Check a robot and its driver.
+def select(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None = None, role: str = ""
+) -> Selection:
+    """Check what a client asks for, or without a request what is configured.
 
     Args:
-        role: of the client that made the request; here and below, "" may set nothing that is restricted.
+        kind: of the module.
+        config, registry: the configuration, and the installed plugins.
+        request: of the kind's model.
+        role: of the client that made the request; "" may set nothing that is restricted.
 
     Raises:
-        ConfigurationError: unknown or unusable names or options.
-        RefusedError: options that only the configuration may set.
-    """
-    section = config.robot
-    if request.robot is not None and request.robot != section.name:
-        section = RobotConfig(name=request.robot)
-    if request.driver is not None:
-        section = section.model_copy(update={"driver": request.driver})
-    plan = check_plan(registry, robot=section.name, driver=section.driver)
-    config = _merge(config, section.name, plan.driver, request.options, role).model_copy(update={"robot": section})
-    _check_options(plan.driver, config.options(section.name), section.python, f"plugins.{section.name}")
-    names = {"robot": section.name, "driver": section.driver}
-    return Selection(kind="robot", config=config, names=names, plan=plan, python=section.python)
-
-
-def select_perception(config: Config, registry: Registry, request: StartPerception, role: str = "") -> Selection:
-    """Check a source and its cameras.
-
-    Raises:
-        InvalidInputError: no source is configured, or the robot has no such camera.
-        ConfigurationError: unknown or unusable names or options.
-        RefusedError: options that only the configuration may set.
-        PlanningError: the source does not serve this robot.
-    """
-    section = config.perception
-    if section is None or (request.source is not None and request.source != section.source):
-        if request.source is None:
-            raise _unnamed("source", "perception", registry)
-        section = PerceptionConfig(source=request.source)
-    if request.cameras:
-        section = section.model_copy(update={"cameras": tuple(request.cameras)})
-    plan = _plan(config, registry, perception=section.source)
-    known = [camera.name for camera in plan.robot.cameras]
-    for camera in section.cameras:
-        if camera not in known:
-            raise InvalidInputError(
-                f"Robot {plan.robot.name!r} has no camera {camera!r}.",
-                hint=f"Its cameras: {', '.join(known) or 'none'}.",
-            )
-    assert plan.perception is not None
-    config = _merge(config, section.source, plan.perception, request.options, role)
-    config = config.model_copy(update={"perception": section})
-    _check_options(plan.perception, config.options(section.source), section.python)
-    names = {"source": section.source, "cameras": ", ".join(section.cameras or known)}
-    return Selection(kind="perception", config=config, names=names, plan=plan, python=section.python)
-
-
-def select_control(config: Config, registry: Registry, request: StartControl, role: str = "") -> Selection:
-    """Check a controller.
-
-    Raises:
-        InvalidInputError: none is configured and none was named.
-        ConfigurationError: unknown or unusable names or options.
-        RefusedError: options that only the configuration may set.
-        PlanningError: it cannot move this kind of robot.
-    """
-    section = config.control
-    if section is None or (request.controller is not None and request.controller != section.controller):
-        if request.controller is None:
-            raise _unnamed("controller", "controller", registry)
-        section = ControlConfig(controller=request.controller)
-    plan = _plan(config, registry, controller=section.controller)
-    assert plan.controller is not None
-    config = _merge(config, section.controller, plan.controller, request.options, role)
-    config = config.model_copy(update={"control": section})
-    _check_options(plan.controller, config.options(section.controller), section.python)
-    names = {"controller": section.controller}
-    return Selection(kind="control", config=config, names=names, plan=plan, python=section.python)
-
-
-def select_inference(config: Config, registry: Registry, request: StartInference, role: str = "") -> Selection:
-    """Check a backend with all that belongs to it.
-
-    Raises:
-        InvalidInputError: something needed is not named, or the instruction is blank.
+        InvalidInputError: something needed is not named, the robot has no such camera, or the instruction is blank.
         CheckpointError: the checkpoint's path does not exist, or the backend takes none.
         ConfigurationError: unknown or unusable names or options.
         PlanningError: the parts do not fit together or the robot.
         RefusedError: options that only the configuration may set, or a checkpoint outside of what it allows.
     """
-    section = config.inference
-    if section is None or (request.backend is not None and request.backend != section.backend):
-        if request.backend is None:
-            raise _unnamed("backend", "backend", registry)
-        section = InferenceConfig(backend=request.backend)
-    named = {
-        "checkpoint": request.checkpoint,
-        "runtime": request.runtime,
-        "acceleration": request.acceleration,
-        "instruction": None if request.instruction is None else check_instruction(request.instruction),
-        "cameras": None if request.cameras is None else dict(request.cameras),
-    }
-    section = section.model_copy(update={key: value for key, value in named.items() if value is not None})
-    plan = _plan(
-        config,
-        registry,
-        backend=section.backend,
-        runtime=section.runtime,
-        acceleration=section.acceleration,
-        cameras=section.cameras,
-    )
-    assert plan.backend is not None
-    config = _merge(config, section.backend, plan.backend, request.options, role)
-    section = _check_checkpoint(section, plan, config, request.checkpoint)
-    config = config.model_copy(update={"inference": section})
-    options = dict(config.options(section.backend))
-    if section.checkpoint is not None:
-        options["checkpoint"] = section.checkpoint
-    _check_options(plan.backend, options, section.python)
-    for spec in (plan.runtime, plan.acceleration):
-        if spec is not None:
-            _check_options(spec, config.options(spec.name), section.python)
-    names = {
-        "backend": section.backend,
-        "checkpoint": section.checkpoint or "",
-        "runtime": plan.runtime.name if plan.runtime else "",
-        "acceleration": plan.acceleration.name if plan.acceleration else "",
-        "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
-    }
-    chosen = {key: name for key, name in names.items() if name}
-    return Selection(kind="inference", config=config, names=chosen, plan=plan, python=section.python)
+    request = request or KINDS[kind].request()
+    section = _section(kind, config, registry, request)
+    plan = _plan(section, config, registry)
+    spec, names = _chosen(section, plan)
+    name = next(iter(names.values()))
+    config = _merge(config, name, spec, getattr(request, "options", {}), role)
+    options = dict(config.options(name))
+    if isinstance(section, InferenceConfig):
+        section = _check_checkpoint(section, plan, config, getattr(request, "checkpoint", None))
+        if section.checkpoint is not None:
+            options["checkpoint"] = names["checkpoint"] = section.checkpoint
+    config = config.model_copy(update={kind: section})
+    _check_options(spec, options, section.python, f"plugins.{name}")
+    for part in (plan.runtime, plan.acceleration):
+        if part is not None:
+            _check_options(part, config.options(part.name), section.python)
+    return Selection(kind=kind, config=config, names=names, plan=plan, python=section.python)
+
+
+def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
+    """The configured section with what the request names; one of its own for another plugin than the configured."""
+    entry = KINDS[kind]
+    field = "name" if kind == "robot" else entry.noun
+    section: Section | None = getattr(config, kind)
+    named = {key: getattr(request, key) for key in entry.request.model_fields if key != "options"}
+    wanted = named.pop(entry.noun)
+    if section is None and wanted is None:
+        choices = ", ".join(registry.specs(entry.choices[entry.noun]))
+        raise InvalidInputError(
+            f"The configuration names no {entry.noun}.",
+            hint=f"Name one: {choices}." if choices else f"No {entry.choices[entry.noun]} plugin is installed.",
+            path=entry.noun,
+        )
+    if section is None or wanted not in (None, getattr(section, field)):
+        section = entry.section.model_validate({field: wanted})
+    if named.get("instruction") is not None:
+        named["instruction"] = check_instruction(named["instruction"])
+    if kind == "perception":
+        named["cameras"] = tuple(named["cameras"]) or None
+    return section.model_copy(update={key: value for key, value in named.items() if value is not None})
+
+
+def _plan(section: Section, config: Config, registry: Registry) -> Plan:
+    parts: dict[str, Any]
+    match section:
+        case RobotConfig():
+            return check_plan(registry, robot=section.name, driver=section.driver)
+        case PerceptionConfig():
+            parts = {"perception": section.source}
+        case ControlConfig():
+            parts = {"controller": section.controller}
+        case InferenceConfig():
+            parts = section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
+    return check_plan(registry, robot=config.robot.name, driver=config.robot.driver, **parts)
+
+
+def _chosen(section: Section, plan: Plan) -> tuple[Spec | DriverSpec, dict[str, str]]:
+    """What reads the options, and what was chosen, the plugin first."""
+    match section:
+        case RobotConfig():
+            return plan.driver, {"robot": section.name, "driver": section.driver}
+        case PerceptionConfig():
+            assert plan.perception is not None
+            known = [camera.name for camera in plan.robot.cameras]
+            for camera in section.cameras:
+                if camera not in known:
+                    raise InvalidInputError(
+                        f"Robot {plan.robot.name!r} has no camera {camera!r}.",
+                        hint=f"Its cameras: {', '.join(known) or 'none'}.",
+                    )
+            return plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
+        case ControlConfig():
+            assert plan.controller is not None
+            return plan.controller, {"controller": section.controller}
+        case InferenceConfig():
+            assert plan.backend is not None
+            names = {
+                "backend": section.backend,
+                "checkpoint": section.checkpoint or "",
+                "runtime": plan.runtime.name if plan.runtime else "",
+                "acceleration": plan.acceleration.name if plan.acceleration else "",
+                "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
+            }
+            return plan.backend, {key: name for key, name in names.items() if name}
 
 
 def check_instruction(text: str) -> str:
@@ -210,10 +186,6 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config, requ
     return section.model_copy(update={"checkpoint": str(path.absolute())})
 
 
-def _plan(config: Config, registry: Registry, **parts: Any) -> Plan:
-    return check_plan(registry, robot=config.robot.name, driver=config.robot.driver, **parts)
-
-
 def _merge(config: Config, name: str, spec: Spec | DriverSpec, options: Options, role: str) -> Config:
     """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client may set them."""
     if not options:
@@ -233,10 +205,71 @@ def _check_options(spec: Spec | DriverSpec, options: Options, python: str | None
             raise
 
 
-def _unnamed(argument: str, kind: str, registry: Registry) -> InvalidInputError:
-    choices = ", ".join(registry.specs(kind))
-    return InvalidInputError(
-        f"The configuration names no {argument}.",
-        hint=f"Name one: {choices}." if choices else f"No {kind} plugin is installed.",
-        path=argument,
+def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
+    """Compare what is to be started with the modules that run.
+
+    Raises:
+        StateError: another module works for another robot.
+        InvalidInputError: the source of images does not serve all cameras of the backend.
+    """
+    if selection.kind == "robot":
+        _check_robot(selection, views)
+    elif selection.kind == "inference":
+        served = _running(views["perception"])
+        if served is not None:
+            _check_cameras(selection, served)
+    elif selection.kind == "perception":
+        served_backend = _running(views["inference"])
+        if served_backend is not None:
+            _check_cameras(served_backend, selection)
+
+
+def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
+    for view in views.values():
+        if view.choice is not None and view.choice.settings.config.namespace != selection.config.namespace:
+            raise StateError(
+                f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
+                f"not for {selection.config.robot.name!r}.",
+                hint="Call stop_all first.",
+            )
+
+
+def _check_cameras(inference: Selection, perception: Selection) -> None:
+    backend, section = inference.plan.backend, perception.config.perception
+    assert backend is not None
+    assert section is not None
+    needed = [inference.plan.cameras[role] for role in backend.cameras]
+    absent = [name for name in needed if name not in section.cameras]
+    if section.cameras and absent:
+        raise InvalidInputError(
+            f"Backend {backend.name!r} needs the camera {', '.join(absent)}, "
+            f"but perception serves only {', '.join(section.cameras)}.",
+            hint="Let perception serve all cameras, or name others in `cameras`.",
+        )
+
+
+def _running(view: ModuleView) -> Selection | None:
+    """What the running module was started with."""
+    if view.phase != "running" or view.choice is None or view.choice.plan is None:
+        return None
+    return running_selection(view)
+
+
+def running_selection(view: ModuleView) -> Selection:
+    """What a module was started with, to start the same again.
+
+    Raises:
+        StateError: it was not started from a plan.
+    """
+    choice = view.choice
+    if choice is None or choice.plan is None:
+        raise StateError(f"It is not known what {view.kind} was started with.")
+    config = choice.settings.config
+    section = getattr(config, view.kind)
+    return Selection(
+        kind=view.kind,
+        config=config,
+        names=choice.names,
+        plan=choice.plan,
+        python=section.python if section is not None else None,
     )

@@ -1,17 +1,22 @@
-"""What modules say of themselves on /diagnostics, as typed reports."""
+"""How modules are: what they say of themselves on /diagnostics, and a word for each, looked at every 30 ms."""
 
 from __future__ import annotations
 
+import logging
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from roboneuron.modules.report import StatusReport
-from roboneuron.modules.settings import MODULE_KINDS
-from roboneuron.supervisor.changes import Changes
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.supervisor.changes import Changes, Periodic
+from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.slot import Choice, Exit, Phase
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
+
 
 _KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
 _FOREIGN_S = 1.0
@@ -23,6 +28,44 @@ class Report(StatusReport):
     """One module's newest status; `received_s` is the monotonic time of its arrival [s]."""
 
     received_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModuleView:
+    """What is known of one module.
+
+    Attributes:
+        kind, phase: which one, and what the supervisor is doing with it.
+        process: None when there is none.
+        choice: what it was started with.
+        report: its newest status, None before the first.
+        exit: how it ended by itself.
+    """
+
+    kind: ModuleKind
+    phase: Phase
+    process: ModuleProcess | None = None
+    choice: Choice | None = None
+    report: Report | None = None
+    exit: Exit | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stopped:
+    """How a stop went.
+
+    Attributes:
+        killed: SIGKILL was needed.
+        took_s: from the call to the process reaped.
+        report: the last one that came.
+    """
+
+    kind: ModuleKind
+    pid: int
+    exit_code: int
+    killed: bool
+    took_s: float
+    report: Report | None = None
 
 
 class StatusBoard:
@@ -72,3 +115,73 @@ class StatusBoard:
                     self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
                     self._foreign[status.name] = (status.hardware_id, now_s)
         self.changes.notify()
+
+
+log = logging.getLogger(__name__)
+Health = Literal["stopped", "starting", "stopping", "ok", "waiting", "failing", "stalled", "stuck", "silent", "exited"]
+FAULTS: frozenset[Health] = frozenset({"failing", "stalled", "stuck", "silent", "exited"})
+SILENT_S = 0.42
+"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is overloaded."""
+STUCK_S = 0.3
+"""A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
+LOOK_S = 0.03
+EXPLANATIONS: dict[Health, str] = {
+    "stopped": "it does not run",
+    "starting": "it is being started",
+    "stopping": "it is being stopped",
+    "ok": "it works",
+    "waiting": "it runs, and something is missing",
+    "failing": "it runs and reports an error",
+    "stalled": "it reports, but its work makes no progress",
+    "stuck": "it reports, but takes no messages and no requests",
+    "silent": "its process exists and says nothing",
+    "exited": "its process has ended by itself",
+}
+
+
+def assess(view: ModuleView, now_s: float) -> Health:
+    """How a module is at the monotonic time `now_s`."""
+    if view.phase != "running":
+        return view.phase
+    report = view.report
+    if report is None or now_s - report.received_s > SILENT_S:
+        return "silent"
+    if report.loop_age_s is not None and report.loop_age_s > STUCK_S:
+        return "stuck"
+    age_s, limit_s = report.work_age_s, report.work_limit_s
+    if age_s is not None and limit_s is not None and age_s > limit_s:
+        return "stalled"
+    if report.error_code:
+        return "failing"
+    return "ok" if report.ready else "waiting"
+
+
+Listener = Callable[[ModuleView, Health, Health], object]
+"""Called from the watching thread with the module, how it was, and how it is."""
+
+
+class Watch(Periodic):
+    """A thread that looks at all modules and tells of every change.
+
+    Args:
+        views: the modules.
+        listener: told of each; must return quickly.
+    """
+
+    def __init__(self, views: Callable[[], Sequence[ModuleView]], listener: Listener) -> None:
+        super().__init__("watch", LOOK_S, self.look)
+        self._views = views
+        self._listener = listener
+        self._known: dict[str, Health] = {}
+
+    def look(self) -> None:
+        """Compare everything with what is known."""
+        now_s = time.monotonic()
+        for view in self._views():
+            health, before = assess(view, now_s), self._known.get(view.kind, "stopped")
+            if health == before:
+                continue
+            self._known[view.kind] = health
+            level = logging.WARNING if health in FAULTS else logging.INFO
+            log.log(level, "%s: %s (was %s): %s.", view.kind, health, before, EXPLANATIONS[health])
+            self._listener(view, before, health)

@@ -1,4 +1,4 @@
-"""From a choice to a process that has proved that it works, and from there to its end."""
+"""The server's ROS node; and from a choice to a process that has proved that it works, and from there to its end."""
 
 from __future__ import annotations
 
@@ -7,24 +7,92 @@ import logging
 import math
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import ServerConfig
-from roboneuron.errors import ConfigurationError, RoboNeuronError
+from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
-from roboneuron.ros.environment import check_state_directory, module_environment
+from roboneuron.ros.environment import check_state_directory, module_environment, prepare_environment
+from roboneuron.ros.topics import DIAGNOSTICS
 from roboneuron.supervisor.bringup import Bringup
-from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.connection import Connection
-from roboneuron.supervisor.health import StatusBoard
+from roboneuron.supervisor.changes import Changes, Periodic
+from roboneuron.supervisor.health import StatusBoard, Stopped
 from roboneuron.supervisor.lifecycle import LifecycleClient
-from roboneuron.supervisor.periodic import Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessObservers, end_processes, spawn
 from roboneuron.supervisor.slot import Claim, Phase, Slot
-from roboneuron.supervisor.view import Stopped
+
+if TYPE_CHECKING:
+    from roboneuron.ros.link import RosLink
+
+
+_OPEN_TIMEOUT_S = 30.0
+
+
+class Connection:
+    """Opens the link once, on a thread of its own; `link` waits for it."""
+
+    def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
+        self._on_status = on_status
+        self._log_directory = log_directory
+        self._lock = threading.Lock()
+        self._opened: Future[RosLink] | None = None
+        self._closed = False
+
+    def begin(self) -> None:
+        """Start opening; returns at once, and does nothing the second time."""
+        with self._lock:
+            if self._closed:
+                raise StateError("The server is shutting down.")
+            if self._opened is not None:
+                return
+            self._opened = Future()
+            threading.Thread(target=self._open, args=(self._opened,), name="ros-open", daemon=True).start()
+
+    def link(self) -> RosLink:
+        """The open link.
+
+        Raises:
+            ConfigurationError: the environment mixes two ROS installations.
+            StateError: the server is shutting down.
+            NotReadyError: joining takes unusually long; it goes on in the background.
+        """
+        self.begin()
+        assert self._opened is not None
+        try:
+            return self._opened.result(timeout=_OPEN_TIMEOUT_S)
+        except FutureTimeoutError as error:
+            raise NotReadyError(f"The ROS graph was not joined within {_OPEN_TIMEOUT_S:g} s.", hint="Retry.") from error
+
+    def close(self) -> None:
+        """Leave the graph; idempotent."""
+        with self._lock:
+            self._closed = True
+            opened = self._opened
+        if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
+            opened.result().close()
+
+    def _open(self, opened: Future[RosLink]) -> None:
+        try:
+            prepare_environment(self._log_directory / "ros")
+            from diagnostic_msgs.msg import DiagnosticArray  # heavy
+
+            from roboneuron.ros.link import RosLink  # heavy
+            from roboneuron.ros.qos import STATUS  # heavy
+
+            link = RosLink(f"roboneuron_server_{os.getpid()}")
+            link.open()
+            link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)
+        except BaseException as error:  # handed to whoever asks for the link
+            opened.set_exception(error)
+        else:
+            opened.set_result(link)
+
 
 log = logging.getLogger(__name__)
 Stage = Callable[[str], None]

@@ -15,12 +15,11 @@ from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
-from roboneuron.supervisor.parameters import ParameterClient
+from roboneuron.supervisor.lifecycle import ParameterClient
 from roboneuron.supervisor.process import KILL_S, ModuleProcess
 from roboneuron.supervisor.slot import Choice, Claim, Slot
-from roboneuron.supervisor.view import ModuleView, Stopped
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink

@@ -15,8 +15,7 @@ from rn_testing.fakes.engine import (
 from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradient_image
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
-from roboneuron.plugins.record import Offer, PluginRecord, Status
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import Spec
 
 FAKE_SPECS: tuple[Spec, ...] = (

@@ -13,7 +13,7 @@ from roboneuron.plugins.discovery import discover_from
 from roboneuron.plugins.registry import Registry
 
 HEADER = """\
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import *
 from roboneuron.plugins.specs import Requirement
 """

@@ -24,7 +24,7 @@ from rn_testing.distribution import (
 )
 from rn_testing.rule import Rule, require
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.markers import PROJECT
+from roboneuron.plugins.hookspecs import PROJECT
 from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 
 PUBLIC = ("contract", "errors", "plugins")

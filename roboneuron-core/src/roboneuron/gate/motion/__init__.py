@@ -5,7 +5,6 @@ from __future__ import annotations
 from roboneuron.gate.motion.command import Verdict
 from roboneuron.gate.motion.limiter import MotionLimiter
 from roboneuron.gate.motion.path import Leg, LimitError, PathLimiter
-from roboneuron.gate.motion.prediction import PredictedArm
 from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, collision_of, motion_rules
 from roboneuron.gate.motion.task_space import Motion
 
@@ -17,7 +16,6 @@ __all__ = [
     "MotionLimiter",
     "MotionRules",
     "PathLimiter",
-    "PredictedArm",
     "Verdict",
     "Zone",
     "collision_of",

@@ -138,7 +138,8 @@ class PathLimiter:
                     if times > ratio:
                         ratio, reason = times, f"{leg.where}{told}"
         if ratio > 1.0 + _SLACK:
-            raise LimitError("speed", reason, hint=f"Give it {math.ceil(ratio * 100.0) / 100.0:g} times the time.")
+            times = math.ceil((ratio - _SLACK) * 100.0) / 100.0
+            raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
 
     def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
         """How many times the legs' durations the TCP needs to stay within its speeds, at least 1."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,9 +12,10 @@ from roboneuron.config import Config, LimitsConfig
 from roboneuron.contract import Controller, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
-from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, PredictedArm, collision_of, motion_rules
+from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, collision_of, motion_rules
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.plugins.registry import Registry
+from roboneuron.server.events import Event
 from roboneuron.server.motion.exposed import (
     Exposed,
     action_endpoint,
@@ -25,7 +25,6 @@ from roboneuron.server.motion.exposed import (
     same_for_each_topic,
 )
 
-log = logging.getLogger(__name__)
 _Key = tuple[str, str]
 
 
@@ -59,8 +58,8 @@ class ArmPaths:
                 self._made[robot, name] = self._make(robot, name, profile)
             return self._made[robot, name]
 
-    def predicted(self, robot: str, profile: RobotProfile, joints: JointSample) -> PredictedArm:
-        """An arm at `joints` that follows actions as control would make it. Raises as `limiter`."""
+    def control(self, robot: str, profile: RobotProfile) -> tuple[Controller, MotionLimiter]:
+        """Controller and limits as control has them, for one user. Raises as `limiter`."""
         controller, inspect, limited = self._load(robot, self._controller(robot), profile)
         control = self._config.control
         limiter = MotionLimiter(
@@ -71,7 +70,7 @@ class ArmPaths:
             immediate=control is not None and control.command == "joint_state",
             longest_s=self._config.robot.server_timeout_s,
         )
-        return PredictedArm(controller, limiter, joints)
+        return controller, limiter
 
     def _make(self, robot: str, name: str, profile: RobotProfile) -> PathLimiter:
         _, inspect, limited = self._load(robot, name, profile)
@@ -110,6 +109,9 @@ class AllowList:
 
     Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits belong to topics:
     two features that expose one topic share every limit of both.
+
+    Attributes:
+        on_change: has a listener called after each change, from the thread that made it.
     """
 
     def __init__(self, gate: Gate, config: Callable[[], Config], registry: Callable[[], Registry]) -> None:
@@ -126,16 +128,13 @@ class AllowList:
         self._by_owner: dict[str, tuple[Exposed, ...]] = {}
         self._instead: frozenset[str] = frozenset()
         self._exposed: tuple[Exposed, ...] = ()
-        self._listeners: list[Callable[[], object]] = []
+        self._changed: Event[[]] = Event()
+        self.on_change = self._changed.listen
 
     @property
     def exposed(self) -> tuple[Exposed, ...]:
         """What is in force; the action topic of an arm is among it, hidden."""
         return self._exposed
-
-    def on_change(self, listener: Callable[[], object]) -> None:
-        """Call `listener` after each change, from the thread that made it."""
-        self._listeners.append(listener)
 
     def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
         """Have these endpoints of an owner and no others of it.
@@ -159,19 +158,19 @@ class AllowList:
             except Exception:
                 self._by_owner, self._instead = before
                 raise
-        self._tell()
+        self._changed.tell()
 
-    def predicted(self, exposed: Exposed, joints: JointSample) -> PredictedArm:
-        """An arm that follows actions as control would make it; raises as `ArmPaths.limiter`."""
+    def control_of(self, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
+        """See `ArmPaths.control`."""
         assert exposed.profile is not None
-        return self._paths.predicted(exposed.robot, exposed.profile, joints)
+        return self._paths.control(exposed.robot, exposed.profile)
 
     def refresh(self) -> None:
         """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""
         with self._lock:
             if not self._instead:
                 self._apply()
-        self._tell()
+        self._changed.tell()
 
     def _apply(self) -> None:
         listed = [*self._profile(), *(e for endpoints in self._by_owner.values() for e in endpoints)]
@@ -208,10 +207,3 @@ class AllowList:
             return entry
         rules = self._paths.rules(exposed.robot, profile)
         return replace(entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile))
-
-    def _tell(self) -> None:
-        for listener in self._listeners:
-            try:
-                listener()
-            except Exception:  # a failing listener must not stop the others, nor what changed the list
-                log.exception("A listener failed.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, Stat
 from roboneuron.gate import Gate, GateRequest, Verdict
 from roboneuron.server.motion.arbiter import Ending, Motion, MotionEnd
 from roboneuron.server.motion.exposed import ACTION_LABEL
-from roboneuron.server.tool import Stage
 
 if TYPE_CHECKING:
     from roboneuron.ros.writer import TopicWriter
@@ -22,15 +21,6 @@ if TYPE_CHECKING:
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _HOLD_S = 0.1
 """Time that a trajectory gets to bring the joints to where they were measured."""
-
-
-@dataclass(kw_only=True, slots=True)
-class Step:
-    """A message and how long it lasts [s]; `stamped` when its header is to carry the time of sending."""
-
-    message: Any
-    duration_s: float
-    stamped: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,21 +56,6 @@ class Sent:
     subscribers: int = 0
     duration_s: float = 0.0
     stopped: bool = False
-
-
-def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterator[Command]:
-    """The commands of steps that follow each other, each repeated while it lasts."""
-    period_s = 1.0 / repeat_hz if repeat_hz else float("inf")
-    total_s = sum(step.duration_s for step in steps)
-    began_s = due_s = time.monotonic()
-    for number, step in enumerate(steps, start=1):
-        stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")
-        end_s = due_s + step.duration_s
-        while True:
-            yield Command(message=step.message, due_s=min(end_s, time.monotonic() + period_s), stamped=step.stamped)
-            if time.monotonic() >= end_s:
-                break
-        due_s = end_s
 
 
 def run(

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.gate import Gate, GateRequest, Verdict
 from roboneuron.server.motion import delivery
 from roboneuron.server.motion.allow_list import AllowList
 from roboneuron.server.motion.arbiter import Ending, Motion, MotionArbiter
-from roboneuron.server.motion.delivery import Command, Sent, Step
+from roboneuron.server.motion.delivery import Command, Sent
 from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.motion.traffic import Traffic
-from roboneuron.server.tool import Stage
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
-    from roboneuron.contract import JointSample
-    from roboneuron.gate.motion import PredictedArm
+    from roboneuron.contract import Controller
+    from roboneuron.gate.motion import MotionLimiter
     from roboneuron.ros.link import Call
-    from roboneuron.ros.reader import Reading
     from roboneuron.ros.writer import TopicWriter
 
 _LOOK_S = 0.02
@@ -43,7 +41,7 @@ class MotionGate:
         expose, on_change: see `AllowList`.
         check, slowdown: see `Gate`; requests that send nothing, such as reading, are only checked.
         check_free, claim, end_motions: see `MotionArbiter`.
-        newest_joints, joints, ee_pose: what is measured, see `Traffic`.
+        newest_joints, joints: what is measured, see `Traffic`.
     """
 
     def __init__(
@@ -56,7 +54,7 @@ class MotionGate:
         self.expose, self.on_change = allow_list.expose, allow_list.on_change
         self.check, self.slowdown = gate.check, gate.slowdown
         self.check_free, self.claim, self.end_motions = arbiter.check_free, arbiter.claim, arbiter.end_all
-        self.newest_joints, self.joints, self.ee_pose = traffic.newest_joints, traffic.joints, traffic.ee_pose
+        self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
 
     @property
     def exposed(self) -> tuple[Exposed, ...]:
@@ -71,30 +69,13 @@ class MotionGate:
             return Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership")
         return self._gate.check(request)
 
-    def predicted(self, exposed: Exposed, joints: JointSample) -> PredictedArm:
-        """An arm at `joints` that follows actions as control would make it follow them; nothing is sent. Close it.
+    def control_of(self, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
+        """Controller and limits as control has them, to compute what it would make of actions; close the controller.
 
         Raises:
             ConfigurationError, MissingDependencyError, PluginError: there is no controller for it.
         """
-        return self._allow_list.predicted(exposed, joints)
-
-    def read(self, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event) -> Reading:
-        """The latched message of a topic, or the next ones; blocks. `check` the request first.
-
-        Raises:
-            ConfigurationError: the topic carries another type.
-            StateError: cancelled.
-        """
-        from roboneuron.ros.reader import Cancelled, read_messages  # heavy
-
-        try:
-            return read_messages(
-                self._traffic.link(), exposed.ros_type, exposed.endpoint.type, exposed.topic,
-                count=count, timeout_s=timeout_s, cancelled=halt,
-            )  # fmt: skip
-        except Cancelled:
-            raise StateError("The call was cancelled.") from None
+        return self._allow_list.control_of(exposed)
 
     def is_served(self, exposed: Exposed) -> bool:
         """Whether somebody serves the service or action, so that the answer comes; see `Traffic.is_served`."""
@@ -170,8 +151,8 @@ class MotionGate:
         """Ask the action to end a goal, by its id: also when the answer to the goal was lost. Returns at once."""
         self._traffic.cancel_goal(exposed, goal_id)
 
-    def publish_now(self, exposed: Exposed, request: GateRequest) -> Sent | None:
-        """Send one message without blocking; None when something has to be waited for first: then `publish` it."""
+    def publish_now(self, exposed: Exposed, request: GateRequest, *, stamped: bool = False) -> Sent | None:
+        """As `publish`, without blocking; None when something has to be waited for first: then `publish` it."""
         writer = self._traffic.known_writer(exposed)
         if writer is None or request.dry_run or exposed.endpoint.joint_limited:
             return None
@@ -182,7 +163,7 @@ class MotionGate:
         self.check_free(exposed)
         verdict = self._gate.check(request)
         if verdict.may_send:
-            writer.publish(request.messages[0])
+            delivery.send(writer, request.messages[0], stamped)
         return Sent(
             verdict=verdict,
             messages=int(verdict.may_send),
@@ -190,27 +171,18 @@ class MotionGate:
             duration_s=time.monotonic() - started_s,
         )
 
-    def publish(
-        self, exposed: Exposed, request: GateRequest, steps: Sequence[Step], *, timeout_s: float, stage: Stage,
-        halt: threading.Event,
-    ) -> Sent:  # fmt: skip
-        """Send one message, or steps that last and follow each other; blocks.
+    def publish(self, exposed: Exposed, request: GateRequest, *, timeout_s: float, stamped: bool = False) -> Sent:
+        """Send one message; blocks.
 
         Args:
             exposed: through which endpoint.
-            request: holds the messages of the steps.
-            steps: at least one.
+            request: holds the message.
             timeout_s: longest wait for a subscriber.
-            stage: told how far it has come.
-            halt: set when the call is cancelled.
+            stamped: the message's header is to carry the time of sending.
 
         Raises:
-            RefusedError, NotReadyError, StateError, ConfigurationError: as `play`.
+            RefusedError, NotReadyError, ConfigurationError: as `play`.
         """
-        if any(step.duration_s for step in steps):
-            commands = delivery.commands_of(steps, exposed.endpoint.repeat_hz, stage)
-            total_s = sum(step.duration_s for step in steps)
-            return self.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
         request = self._with_joints(exposed, request, timeout_s)
         if request.dry_run:
             return self._asked(exposed, request)
@@ -221,7 +193,7 @@ class MotionGate:
             return Sent(verdict=verdict, subscribers=writer.listening())
         matched = self._connect(exposed, writer, request, timeout_s, owned=False)
         started_s = time.monotonic()
-        delivery.send(writer, steps[0].message, steps[0].stamped)
+        delivery.send(writer, request.messages[0], stamped)
         return Sent(verdict=verdict, messages=1, subscribers=matched, duration_s=time.monotonic() - started_s)
 
     def play(

@@ -7,19 +7,18 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.contract import JointSample, Pose
-from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.ros.topics import EE_POSE, JOINT_STATES
+from roboneuron.contract import JointSample
+from roboneuron.errors import InvalidInputError
+from roboneuron.ros.topics import JOINT_STATES
 from roboneuron.server.motion.exposed import Exposed
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
     from roboneuron.ros.link import RosLink
-    from roboneuron.ros.reader import NewestMessage
-    from roboneuron.ros.writer import TopicWriter
+    from roboneuron.ros.writer import NewestMessage, TopicWriter
 
-JOINTS_AGE_S = POSE_AGE_S = 0.5
+JOINTS_AGE_S = 0.5
 """Older measurements are as good as none."""
 _SETTLE_S = 0.1
 """After the first sight of an action server: until it has matched our side too, its answer would be lost."""
@@ -35,7 +34,6 @@ class Traffic:
         self._actions: dict[tuple[str, str], Any] = {}
         self._settled: set[str] = set()
         self._joints: dict[str, NewestMessage] = {}
-        self._poses: dict[str, NewestMessage] = {}
 
     def link(self) -> RosLink:
         """The open link; raises as `Connection.link`."""
@@ -102,40 +100,16 @@ class Traffic:
 
     def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
         """Like `newest_joints`, and waits for a first measurement."""
+        link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy
 
-        self._watch(self._joints, JointState, exposed.namespace, JOINT_STATES).open(timeout_s)
-        return self.newest_joints(exposed)
+        from roboneuron.ros.writer import NewestMessage  # heavy
 
-    def ee_pose(self, exposed: Exposed, timeout_s: float) -> Pose:
-        """The measured pose of the TCP, no older than `POSE_AGE_S`; waits for one.
-
-        Raises:
-            NotReadyError: control publishes none.
-        """
-        from geometry_msgs.msg import PoseStamped  # heavy
-
-        from roboneuron.ros.messages import pose_from_message  # heavy
-
-        watch = self._watch(self._poses, PoseStamped, exposed.namespace, EE_POSE)
-        watch.open(timeout_s)
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            message = watch.newest(POSE_AGE_S)
-            if message is not None:
-                return pose_from_message(message)
-            if time.monotonic() > deadline_s:
-                raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
-            time.sleep(0.01)
-
-    def _watch(self, kept: dict[str, NewestMessage], message_type: type, namespace: str, topic: str) -> NewestMessage:
-        from roboneuron.ros.reader import NewestMessage  # heavy
-
-        link = self.link()
         with self._lock:
-            if namespace not in kept:
-                kept[namespace] = NewestMessage(link, message_type, f"/{namespace}/{topic}")
-            return kept[namespace]
+            if space not in self._joints:
+                self._joints[space] = NewestMessage(link, JointState, f"/{space}/{JOINT_STATES}")
+        self._joints[space].open(timeout_s)
+        return self.newest_joints(exposed)
 
 
 def _cancel_name(exposed: Exposed) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, Pose
-from roboneuron.gate.motion.limiter import MotionLimiter
+from roboneuron.gate.motion import MotionLimiter
 
 
 class PredictedArm:

@@ -1,16 +1,13 @@
-"""What control would make of actions is computed with its own limits, and a dry run is answered by that."""
+"""What control would make of actions is computed with its own limits; dry runs of move_ee are judged by it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
+from rn_tools_arm.prediction import PredictedArm
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
-from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate.motion import LimitError, MotionLimiter, PredictedArm, motion_rules
+from roboneuron.gate.motion import MotionLimiter, motion_rules
 
 PROFILE = RobotProfile(name="gantry", arm_joints=("x", "y"))
 PANE = {"name": "pane", "lower_m": [0.095, -1.0, 0.0], "upper_m": [0.105, 1.0, 1.0]}
@@ -92,27 +89,3 @@ def test_closing_releases_the_controller() -> None:
     gantry = Gantry()
     predicted(gantry).close()
     assert gantry.is_closed
-
-
-@pytest.mark.parametrize(
-    ("cause", "rule", "text"),
-    [
-        (RefusedError("It would stop short."), "path", "It would stop short."),
-        (LimitError("zone", "It would enter 'pane'."), "zone", "'pane'"),
-        (ConfigurationError("There is no controller."), "path", "cannot be judged: There is no controller."),
-    ],
-)
-def test_a_dry_run_is_refused_by_its_prediction_and_audited_as_such(
-    make_gate, ask, endpoints, audit, cause: Exception, rule: str, text: str
-) -> None:
-    def predict() -> None:
-        raise cause
-
-    gate = make_gate()
-    request = replace(ask(endpoints["velocity"], {"linear": {"x": 0.1}}), predict=predict)
-    verdict = gate.check(replace(request, dry_run=True))
-    assert (verdict.allowed, verdict.rule) == (False, rule)
-    assert text in verdict.reason
-    assert '"verdict":"would_refuse"' in audit.path.read_text()
-    assert gate.check(request).may_send  # the real motion is judged while it is carried out
-    assert not make_gate(dry_run=True).check(request).allowed
