@@ -42,7 +42,7 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
             raise SystemExit(f"rn-interfaces-control: {error}") from error
         build_data["pure_python"] = False
         build_data["infer_tag"] = True
-        build_data["shared_data"][f"{built}/share"] = "share"
+        build_data["shared_data"].update({f"{built}/{name}": name for name in ("lib", "share")})
         included = {f"{built}/{PACKAGE}": PACKAGE}
         build_data["force_include"].update(included)
         if version == "editable":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -61,7 +63,9 @@ def test_another_package_is_built_with_the_same_command(tmp_path):
         " deserialize_message as d; r = Reading(force=[1.0, 2.0, 3.0]);"
         " assert d(s(r), Reading) == r and r.unit == 'N'"
     )
-    subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path / "out", timeout=60)
+    libraries = f"{tmp_path / 'out' / 'lib'}:{os.environ.get('LD_LIBRARY_PATH', '')}"
+    environment = {**os.environ, "LD_LIBRARY_PATH": libraries}
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path / "out", timeout=60, env=environment)
 
 
 def test_without_a_compiler_it_says_what_to_do(monkeypatch, tmp_path):
@@ -89,3 +93,36 @@ def test_a_broken_definition_fails_with_what_the_generator_said(tmp_path):
 def test_a_folder_without_definitions_is_refused(tmp_path):
     with pytest.raises(typesupport.BuildError, match=r"msg/\*\.msg"):
         typesupport.definitions(tmp_path)
+
+
+@pytest.mark.ros
+def test_messages_services_and_actions_pass_the_middleware():
+    """Creating endpoints needs more of the typesupport than serialising: rmw_fastrtps describes the type as well."""
+    import rclpy
+    from control_msgs.action import FollowJointTrajectory
+    from control_msgs.msg import JointTrajectoryControllerState
+    from control_msgs.srv import QueryTrajectoryState
+    from rclpy.action import ActionClient
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("probe", context=context)
+    received = []
+    node.create_subscription(JointTrajectoryControllerState, "probe_state", received.append, 1)
+    publisher = node.create_publisher(JointTrajectoryControllerState, "probe_state", 1)
+    service = node.create_service(QueryTrajectoryState, "probe_query", lambda request, response: response)
+    action = ActionClient(node, FollowJointTrajectory, "probe_action")
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    deadline_s = time.monotonic() + 30.0
+    while not received and time.monotonic() < deadline_s:
+        publisher.publish(JointTrajectoryControllerState(joint_names=["a"], speed_scaling_factor=0.5))
+        executor.spin_once(timeout_sec=0.1)
+    assert received[0].joint_names == ["a"]
+    assert service.srv_name.endswith("probe_query")
+    action.destroy()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)

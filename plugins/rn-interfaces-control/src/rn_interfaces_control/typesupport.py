@@ -3,9 +3,8 @@
     python -m rn_interfaces_control.typesupport FOLDER OUTPUT
 
 FOLDER is named as the package and holds `msg`, `srv` and `action` with its definitions; OUTPUT gets `<package>/` (a
-Python package with one extension module, for site-packages) and `share/` (definitions, type descriptions, the ament
-index, for the environment's prefix). One library holds the generated C structures, the Fast DDS serialisation and the
-Python conversion, so that nothing has to be found by the dynamic loader but what the ROS wheels brought.
+Python package with one extension module, for site-packages), `lib/` (the typesupports, which ROS 2 loads by name) and
+`share/` (definitions, type descriptions, the ament index), both for the environment's prefix.
 
 Used by this distribution's build hook, which loads this file by path: it imports nothing but the standard library
 until `build` is called.
@@ -27,8 +26,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 KINDS = ("msg", "srv", "action")
-TYPESUPPORT = "rosidl_typesupport_fastrtps_c"
-"""The only one built: what rmw_fastrtps, the one middleware among the wheels, serialises with."""
 NO_COMPILER = (
     "No C++ compiler was found, and the ROS 2 types of {package} have to be compiled once. Install one "
     "(Debian, Ubuntu: apt-get install g++) and repeat the command; without the rights for that, pip install ziglang "
@@ -42,6 +39,7 @@ REQUIRED = (
     "ros-jazzy-rosidl-generator-type-description",
     "ros-jazzy-rosidl-typesupport-c",
     "ros-jazzy-rosidl-typesupport-fastrtps-c",
+    "ros-jazzy-rosidl-typesupport-introspection-c",
     "empy",
     "lark-parser",
     "numpy",
@@ -49,7 +47,7 @@ REQUIRED = (
 """What brings the generators, the headers and the libraries."""
 _PROBE = """
 import em, lark, numpy, rosidl_adapter, rosidl_generator_c, rosidl_generator_py, rosidl_generator_type_description
-import rosidl_typesupport_c, rosidl_typesupport_fastrtps_c
+import rosidl_typesupport_c, rosidl_typesupport_fastrtps_c, rosidl_typesupport_introspection_c
 print(rosidl_generator_c.__file__)
 print(numpy.get_include())
 """
@@ -163,8 +161,7 @@ def build(folder: Path, output: Path) -> None:
         _run([sys.executable, str(_GENERATE), package, str(folder), str(work)], wheels)
         _copy(generated, target, ("*.py",))
         (target / "__init__.py").touch()
-        suffix = sysconfig.get_config_var("EXT_SUFFIX")
-        _compile(compiler, wheels, work, package, target / f"{package}_s__rosidl_typesupport_c{suffix}")
+        _compile(compiler, wheels, work, package, output)
         _share(folder, generated, output / "share", package)
 
 
@@ -198,13 +195,13 @@ def _run(command: Sequence[str], wheels: Wheels) -> None:
         raise BuildError(f"{' '.join(command[:4])} ... failed with {done.returncode}:\n{tail}")
 
 
-def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, target: Path) -> None:
-    """Compile each generated source and link all of them into one extension module."""
-    sources = sorted(p for p in (work / package).rglob("*.c*") if ".ep." not in p.name or f".{_ENTRY}." in p.name)
+def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, output: Path) -> None:
+    """Compile each generated source; link the typesupports into one library and the conversion into the extension."""
+    sources = sorted(work.rglob("*.c*"))
     if not sources:
         raise BuildError(f"The generators of {package} produced nothing to compile.")
     headers = wheels.prefix / "include"
-    includes = [work, headers, *sorted(path for path in headers.iterdir() if path.is_dir())]
+    includes = [work, work / "introspection", headers, *sorted(path for path in headers.iterdir() if path.is_dir())]
     includes += [Path(sysconfig.get_path("include")), wheels.numpy_headers]
     flags = ["-O1", "-fPIC", "-w", *(f"-I{path}" for path in includes)]
 
@@ -216,17 +213,32 @@ def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, 
         return made
 
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        objects = list(pool.map(compile_one, enumerate(sources)))
-    options = ["-shared", "-s", f"-Wl,-rpath,{_ORIGIN}", "-Wl,--as-needed", "-Wl,--allow-shlib-undefined"]
+        objects = dict(zip(sources, pool.map(compile_one, enumerate(sources)), strict=True))
+    conversion = [made for source, made in objects.items() if source.name.endswith("_s.c") or ".ep." in source.name]
+    structures = [made for made in objects.values() if made not in conversion]
     libraries = [str(path) for path in _libraries(wheels.prefix, package)]
-    _run([*compiler, *options, "-o", str(target), *objects, *libraries], wheels)
+    lib = output / "lib"
+    lib.mkdir(parents=True, exist_ok=True)
+
+    def link(target: Path, *parts: str) -> None:
+        options = ["-shared", "-s", f"-Wl,-soname,{target.name}", "-Wl,--allow-shlib-undefined"]
+        _run([*compiler, *options, "-o", str(target), *parts], wheels)
+
+    main, alias = (lib / f"lib{package}__{name}.so" for name in TYPESUPPORTS)
+    link(main, *structures, "-Wl,-rpath,$ORIGIN", "-Wl,--as-needed", *libraries)
+    # ROS 2 loads each typesupport by its name and asks it for symbols; those of a needed library count as its own.
+    link(alias, "-Wl,-rpath,$ORIGIN", "-Wl,--no-as-needed", str(main))
+    suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    extension = output / package / f"{package}_s__rosidl_typesupport_c{suffix}"
+    link(extension, *conversion, f"-Wl,-rpath,{_TO_LIB}", "-Wl,--as-needed", str(main), *libraries)
 
 
-_ENTRY = "rosidl_typesupport_c"
-_ORIGIN = "$ORIGIN/../../.."
+TYPESUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
+"""What rmw_fastrtps serialises with, and what it describes types to other participants with."""
+_TO_LIB = "$ORIGIN/../../.."
 """From a package in site-packages to `lib` of the environment."""
-_NEEDED = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", TYPESUPPORT)
-_BASE = ("rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_fastrtps_cpp")
+_NEEDED = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *TYPESUPPORTS)
+_BASE = ("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp")
 
 
 def _libraries(prefix: Path, package: str) -> list[Path]:
