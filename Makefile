@@ -17,9 +17,11 @@ DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm plugins/rn-tools-inspect
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
+# These compile ROS 2 types and need a C++ compiler; without one the rest works, and their tests are skipped.
+COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
-  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',$(ALL_PACKAGES)))
+  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
@@ -123,6 +125,7 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(call install,PyTorch,torch==2.13.0)
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
+	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco)

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rn_robot_fr3.engine import REQUIREMENT
-from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, RobotSpec, hookimpl
+from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
+
+_INSTALL = "pip install ./plugins/rn-interfaces-control ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
+ROS2_CONTROL = Requirement(module="rn_driver_ros2control", install=_INSTALL)
+CONTROL_MSGS = Requirement(module="control_msgs", install=_INSTALL)
 
 
 @hookimpl
@@ -27,6 +31,13 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     target="rn_robot_fr3.driver:SimulatedDriver",
                     config="rn_robot_fr3.options:SimulatedDriverOptions",
                     requires=(REQUIREMENT,),
+                ),
+                DriverSpec(
+                    name="ros2-control",
+                    summary="joint_trajectory_controller of ros2_control, as in franka_ros2",
+                    target="rn_driver_ros2control.driver:Ros2ControlDriver",
+                    config="rn_driver_ros2control.options:Ros2ControlOptions",
+                    requires=(ROS2_CONTROL, CONTROL_MSGS),
                 ),
             ),
         )

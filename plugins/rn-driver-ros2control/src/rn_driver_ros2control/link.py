@@ -1,0 +1,122 @@
+"""What lies between the driver and a controller: a small protocol, so that the driver's rules need no ROS graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Measured:
+    """One joint as it was last reported.
+
+    Attributes:
+        position: [rad or m].
+        velocity: [rad/s or m/s]; None when not reported.
+        stamp_ns: of the message, on the publisher's clock; 0 when it had none.
+        received_s: monotonic time of its arrival.
+    """
+
+    position: float
+    velocity: float | None
+    stamp_ns: int
+    received_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ControllerReport:
+    """One `controller_state` message.
+
+    Attributes:
+        joints: what the controller moves.
+        reference: by joint, (position, velocity) that it wants now; the velocity is 0 when it tells none.
+        error: by joint, reference - measured [rad or m].
+        speed_scaling: 1 when the trajectory runs as planned.
+        received_s: monotonic time of its arrival.
+    """
+
+    joints: tuple[str, ...]
+    reference: Mapping[str, tuple[float, float]]
+    error: Mapping[str, float]
+    speed_scaling: float
+    received_s: float
+
+
+class End(Enum):
+    """How a goal ended."""
+
+    SUCCEEDED = "succeeded"
+    REJECTED = "rejected"
+    UNANSWERED = "unanswered"
+    PATH_TOLERANCE = "path tolerance violated"
+    GOAL_TOLERANCE = "goal tolerance violated"
+    PREEMPTED = "preempted"
+    CANCELLED = "cancelled"
+    ABORTED = "aborted"
+
+
+class GoalObserver(Protocol):
+    """Told how a goal gets on; called from the link's thread."""
+
+    def ended(self, goal: int, end: End, text: str) -> None:
+        """The goal of that number is over."""
+        ...
+
+
+class ControllerLink(Protocol):
+    """The controller and its topics, connected; every method may be called from any thread."""
+
+    def open(self, observer: GoalObserver) -> None:
+        """Join ROS and look for everything the options name. Raises NotReadyError, MissingDependencyError."""
+        ...
+
+    def joints(self) -> Mapping[str, Measured]:
+        """Every joint reported so far, newest values."""
+        ...
+
+    def report(self) -> ControllerReport | None:
+        """The newest `controller_state`; None before the first."""
+        ...
+
+    def is_present(self) -> bool:
+        """Somebody takes trajectories under the controller's name."""
+        ...
+
+    def publish(self, trajectory: JointTrajectory) -> None:
+        """Send on the topic."""
+        ...
+
+    def send_goal(self, goal: int, trajectory: JointTrajectory) -> None:
+        """Send as an action goal without waiting; `goal` is the caller's number for it.
+
+        The observer hears of its end, also when it is rejected or not answered in time.
+        """
+        ...
+
+    def wait_accepted(self, goal: int, timeout_s: float) -> bool:
+        """Wait until that goal is accepted; False when it was rejected or not answered."""
+        ...
+
+    def cancel_goals(self) -> None:
+        """Cancel whatever goal this link has running."""
+        ...
+
+    def move_gripper(self, position: float) -> None:
+        """Send a gripper goal without waiting; it replaces the one before."""
+        ...
+
+    def gripper_note(self) -> str:
+        """What became of the newest gripper goal, in words."""
+        ...
+
+    def close(self) -> None:
+        """Leave ROS; may be called twice."""
+        ...

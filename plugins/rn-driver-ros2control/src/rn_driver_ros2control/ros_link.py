@@ -1,0 +1,285 @@
+"""The controller over ROS 2: a node of its own in this process, with its own executor thread."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
+from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
+from rclpy.action import ActionClient
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, Measured
+from rn_driver_ros2control.options import Ros2ControlOptions
+from rn_driver_ros2control.trajectory import to_duration
+from roboneuron import NotReadyError, StateError
+
+_CANCELLED, _ABORTED = 5, 6
+"""action_msgs/GoalStatus."""
+_LOOK_S = 0.05
+_CODES = {
+    FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED: End.PATH_TOLERANCE,
+    FollowJointTrajectory.Result.GOAL_TOLERANCE_VIOLATED: End.GOAL_TOLERANCE,
+}
+_STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches reliable and best-effort publishers alike; only the newest value counts."""
+
+
+class _Goal:
+    """One FollowJointTrajectory goal on its way."""
+
+    def __init__(self, deadline_s: float) -> None:
+        self.deadline_s = deadline_s
+        self.answered = threading.Event()
+        self.accepted = False
+        self.handle: Any = None
+
+
+class RosLink:
+    """Follows `ControllerLink`. Its ROS context is its own, so that it can be opened in any process."""
+
+    def __init__(self, options: Ros2ControlOptions, joints: tuple[str, ...]) -> None:
+        """Remember what to talk to; `joints` are the arm's, which tolerances are asked for."""
+        self._options = options
+        self._arm = joints
+        self._lock = threading.Lock()
+        self._measured: dict[str, Measured] = {}
+        self._report: ControllerReport | None = None
+        self._goals: dict[int, _Goal] = {}
+        self._gripper_note = "no command yet"
+        self._gripper_goals = 0
+        self._observer: GoalObserver | None = None
+        self._clients: list[Any] = []
+        self._gripper: Any = None
+        self._context: rclpy.Context | None = None
+        self._thread: threading.Thread | None = None
+
+    def open(self, observer: GoalObserver) -> None:
+        """See `ControllerLink.open`."""
+        self._observer = observer
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        name = f"roboneuron_{self._options.controller.rpartition('/')[2]}"
+        self._executor = SingleThreadedExecutor(context=self._context)
+        node = self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=False)
+        topics = {self._options.joint_states, self._options.gripper_joint_states or self._options.joint_states}
+        for topic in sorted(topics):
+            node.create_subscription(JointState, topic, self._on_joints, _STATES)
+        if self._options.watch_controller:
+            topic = f"{self._options.controller}/controller_state"
+            node.create_subscription(JointTrajectoryControllerState, topic, self._on_report, _STATES)
+        self._publisher = node.create_publisher(JointTrajectory, f"{self._options.controller}/joint_trajectory", 1)
+        action = f"{self._options.controller}/follow_joint_trajectory"
+        self._actions: Any = ActionClient(node, FollowJointTrajectory, action)
+        self._clients.append(self._actions)
+        if self._options.gripper != "none":
+            kind = GripperCommand if self._options.gripper == "gripper-command" else ParallelGripperCommand
+            self._gripper = ActionClient(node, kind, self._options.gripper_action)
+            self._clients.append(self._gripper)
+        node.create_timer(_LOOK_S, self._look_for_unanswered)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name="ros2-control", daemon=True)
+        self._thread.start()
+        self._wait(lambda: bool(self._measured), f"nobody publishes joint states on {self._options.joint_states}")
+        self._wait(self.is_present, f"there is no controller {self._options.controller} (or not configured)")
+        if self._gripper is not None:
+            self._wait(self._gripper.server_is_ready, f"there is no gripper action {self._options.gripper_action}")
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _wait(self, condition: Callable[[], bool], absent: str) -> None:
+        deadline_s = time.monotonic() + self._options.connect_timeout_s
+        while not condition():
+            if time.monotonic() > deadline_s:
+                raise NotReadyError(
+                    f"After {self._options.connect_timeout_s:g} s {absent}.",
+                    hint="Start ros2_control and its controllers (`ros2 control list_controllers`), compare the names "
+                    "with the options, and ROS_DOMAIN_ID and the discovery range on both sides.",
+                )
+            time.sleep(_LOOK_S)
+
+    def joints(self) -> Mapping[str, Measured]:
+        """See `ControllerLink.joints`."""
+        with self._lock:
+            return dict(self._measured)
+
+    def report(self) -> ControllerReport | None:
+        """See `ControllerLink.report`."""
+        return self._report
+
+    def is_present(self) -> bool:
+        """See `ControllerLink.is_present`."""
+        if self._options.mode == "action":
+            return bool(self._actions.server_is_ready())
+        return int(self._publisher.get_subscription_count()) > 0
+
+    def publish(self, trajectory: JointTrajectory) -> None:
+        """See `ControllerLink.publish`."""
+        with self._lock:
+            if self._context is None or not self._context.ok():
+                raise StateError("The connection to ros2_control is closed.")
+            self._publisher.publish(trajectory)
+
+    def send_goal(self, goal: int, trajectory: JointTrajectory) -> None:
+        """See `ControllerLink.send_goal`."""
+        message = FollowJointTrajectory.Goal(trajectory=trajectory)
+        if self._options.path_tolerance:
+            message.path_tolerance = self._tolerances(trajectory, self._options.path_tolerance)
+        if self._options.goal_tolerance:
+            message.goal_tolerance = self._tolerances(trajectory, self._options.goal_tolerance)
+        message.goal_time_tolerance = to_duration(self._options.goal_time_tolerance_s)
+        state = _Goal(time.monotonic() + self._options.goal_timeout_s)
+        with self._lock:
+            if self._context is None or not self._context.ok():
+                raise StateError("The connection to ros2_control is closed.")
+            self._goals[goal] = state
+            future = self._actions.send_goal_async(message)
+        future.add_done_callback(lambda done: self._on_answer(goal, state, done.result()))
+
+    def _tolerances(self, trajectory: JointTrajectory, bound: float) -> list[JointTolerance]:
+        return [JointTolerance(name=name, position=float(bound)) for name in trajectory.joint_names]
+
+    def wait_accepted(self, goal: int, timeout_s: float) -> bool:
+        """See `ControllerLink.wait_accepted`."""
+        state = self._goals.get(goal)
+        return state is None or (state.answered.wait(timeout_s) and state.accepted)
+
+    def cancel_goals(self) -> None:
+        """See `ControllerLink.cancel_goals`."""
+        with self._lock:
+            handles = [state.handle for state in self._goals.values() if state.handle is not None]
+            for handle in handles if self._context is not None and self._context.ok() else ():
+                handle.cancel_goal_async()
+
+    def move_gripper(self, position: float) -> None:
+        """See `ControllerLink.move_gripper`."""
+        message = self._gripper_goal(position)
+        with self._lock:
+            if self._gripper is None or self._context is None or not self._context.ok():
+                return
+            self._gripper_goals += 1
+            number = self._gripper_goals
+            self._gripper_note = "moving"
+            future = self._gripper.send_goal_async(message)
+        future.add_done_callback(lambda done: self._on_gripper_answer(number, done.result()))
+
+    def _gripper_goal(self, position: float) -> GripperCommand.Goal | ParallelGripperCommand.Goal:
+        if self._options.gripper == "gripper-command":
+            command = GripperCommand.Goal()
+            command.command.position = float(position)
+            command.command.max_effort = float(self._options.gripper_effort_n)
+            return command
+        parallel = ParallelGripperCommand.Goal()
+        parallel.command.position = [float(position)]
+        parallel.command.effort = [float(self._options.gripper_effort_n)]
+        return parallel
+
+    def gripper_note(self) -> str:
+        """See `ControllerLink.gripper_note`."""
+        return self._gripper_note
+
+    def close(self) -> None:
+        """See `ControllerLink.close`."""
+        with self._lock:
+            context, self._context = self._context, None
+        if context is None:
+            return
+        self._executor.shutdown(timeout_sec=2.0)
+        if self._thread is not None:
+            self._thread.join(2.0)
+        for client in self._clients:
+            client.destroy()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+    def _on_joints(self, message: JointState) -> None:
+        now_s = time.monotonic()
+        has_velocity = len(message.velocity) == len(message.name)
+        with self._lock:
+            for index, name in enumerate(message.name):
+                if index < len(message.position):
+                    velocity = float(message.velocity[index]) if has_velocity else None
+                    self._measured[name] = Measured(
+                        position=float(message.position[index]),
+                        velocity=velocity,
+                        stamp_ns=_to_ns(message.header.stamp),
+                        received_s=now_s,
+                    )
+
+    def _on_report(self, message: JointTrajectoryControllerState) -> None:
+        names = tuple(message.joint_names)
+        positions, velocities = message.reference.positions, message.reference.velocities
+        moving = velocities if len(velocities) == len(names) else [0.0] * len(names)
+        self._report = ControllerReport(
+            joints=names,
+            reference={n: (float(p), float(v)) for n, p, v in zip(names, positions, moving, strict=False)},
+            error={n: float(e) for n, e in zip(names, message.error.positions, strict=False)},
+            speed_scaling=float(message.speed_scaling_factor),
+            received_s=time.monotonic(),
+        )
+
+    def _on_answer(self, goal: int, state: _Goal, handle: Any) -> None:
+        if not handle.accepted:
+            self._end(goal, End.REJECTED, "the controller rejected the goal; its log says why")
+            return
+        state.handle, state.accepted = handle, True
+        state.answered.set()
+        handle.get_result_async().add_done_callback(lambda done: self._on_result(goal, done.result()))
+
+    def _on_result(self, goal: int, answer: Any) -> None:
+        result: FollowJointTrajectory.Result = answer.result
+        if answer.status == _CANCELLED:
+            end = End.CANCELLED
+        elif answer.status == _ABORTED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+            end = _CODES.get(result.error_code, End.ABORTED)
+        else:
+            end = End.SUCCEEDED
+        self._end(goal, end, str(result.error_string))
+
+    def _end(self, goal: int, end: End, text: str) -> None:
+        with self._lock:
+            state = self._goals.pop(goal, None)
+        if state is not None and self._observer is not None:
+            state.answered.set()
+            self._observer.ended(goal, end, text)
+
+    def _look_for_unanswered(self) -> None:
+        now_s = time.monotonic()
+        late = [n for n, state in list(self._goals.items()) if not state.answered.is_set() and now_s > state.deadline_s]
+        for goal in late:
+            self._end(goal, End.UNANSWERED, f"no answer to a goal within {self._options.goal_timeout_s:g} s")
+
+    def _on_gripper_answer(self, number: int, handle: Any) -> None:
+        if number != self._gripper_goals:
+            return
+        if not handle.accepted:
+            self._gripper_note = "rejected by the gripper"
+            return
+        handle.get_result_async().add_done_callback(lambda done: self._on_gripper_result(number, done.result()))
+
+    def _on_gripper_result(self, number: int, answer: Any) -> None:
+        if number != self._gripper_goals:
+            return
+        if answer.result.stalled and not answer.result.reached_goal:
+            self._gripper_note = "stalled: something is between the fingers, or they are blocked"
+        elif answer.status == _ABORTED:
+            self._gripper_note = "aborted by the gripper"
+        else:
+            self._gripper_note = "reached"
+
+
+def _to_ns(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -1,0 +1,195 @@
+"""The rules of ros2_control's joint_trajectory_controller, for tests and for trying things without a robot.
+
+Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is listed in
+`docs/ros2-control.md`. Source of the rules: the documentation of joint_trajectory_controller (ros2_controllers, Jazzy:
+userdoc.rst, trajectory.rst, parameters) and of `control_msgs` JointTolerance; how it behaves where the documentation
+is silent (an empty trajectory is refused, who is told what) was read in its public source at ed360c9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+F64 = NDArray[np.float64]
+ERASED = -1.0
+"""A tolerance in a goal that takes the default away."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tolerances:
+    """Bounds on |reference - measured|; 0 does not bound.
+
+    Attributes:
+        path: while moving, by joint [rad or m].
+        goal: at the end, by joint.
+        goal_time_s: how long after the end the goal tolerance may be met; 0: for ever.
+    """
+
+    path: Mapping[str, float] = field(default_factory=dict)
+    goal: Mapping[str, float] = field(default_factory=dict)
+    goal_time_s: float = 0.0
+
+    def with_goal(self, path: Mapping[str, float], goal: Mapping[str, float], goal_time_s: float) -> Tolerances:
+        """These, as an action goal changes them: 0 keeps, a positive value replaces, -1 erases."""
+
+        def resolve(default: float, asked: float) -> float:
+            return asked if asked > 0.0 else 0.0 if asked == ERASED else default
+
+        return Tolerances(
+            path={**self.path, **{n: resolve(self.path.get(n, 0.0), v) for n, v in path.items()}},
+            goal={**self.goal, **{n: resolve(self.goal.get(n, 0.0), v) for n, v in goal.items()}},
+            goal_time_s=resolve(self.goal_time_s, goal_time_s),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """How the active trajectory ended: a code of FollowJointTrajectory.Result and its text."""
+
+    code: int
+    text: str
+
+
+SUCCESSFUL, INVALID_GOAL, PATH_VIOLATED, GOAL_VIOLATED = 0, -1, -4, -5
+
+
+class StandIn:
+    """One controller with its joints, which follow perfectly unless they are blocked."""
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        start: F64,
+        *,
+        tolerances: Tolerances | None = None,
+        allow_partial: bool = False,
+        allow_nonzero_end: bool = False,
+        from_desired: bool = False,
+    ) -> None:
+        """Stand at `start`; the options are the controller's parameters of like names and defaults."""
+        self.joints = tuple(joints)
+        self.defaults = tolerances or Tolerances()
+        self.active = True
+        self.blocked = False
+        self.measured = start.astype(np.float64).copy()
+        self.measured_velocity = np.zeros_like(self.measured)
+        self.reference = self.measured.copy()
+        self.reference_velocity = np.zeros_like(self.measured)
+        self._allow_partial, self._allow_nonzero_end, self._from_desired = (
+            allow_partial,
+            allow_nonzero_end,
+            from_desired,
+        )
+        self._tolerances = self.defaults
+        self._points: list[tuple[float, F64, F64 | None]] = []
+        self._is_done = True
+        self._now_s = 0.0
+
+    def refusal(self, trajectory: JointTrajectory, now_s: float) -> str:
+        """Why the controller would not take this; empty when it would. `now_s` is ROS time."""
+        names, points = list(trajectory.joint_names), list(trajectory.points)
+        if not names:
+            return "Empty joint names on incoming trajectory."
+        if not self._allow_partial and len(names) != len(self.joints):
+            return "Joints on incoming trajectory don't match the controller joints."
+        if not points:
+            return "Empty trajectory received."
+        if unknown := [name for name in names if name not in self.joints]:
+            return f"Incoming joint {unknown[0]} doesn't match the controller's joints."
+        if not self._allow_nonzero_end and any(abs(v) > 1.2e-7 for v in points[-1].velocities):
+            return "Velocity of last trajectory point is not zero."
+        stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
+        if stamp_s and stamp_s + _seconds(points[-1]) < now_s:
+            return "Received trajectory with non-zero start time that ends in the past."
+        previous_s = -math.inf
+        for point in points:
+            if _seconds(point) <= previous_s:
+                return "Time between points is not strictly increasing."
+            previous_s = _seconds(point)
+            if len(point.positions) != len(names) or len(point.velocities) not in (0, len(names)):
+                return "Mismatch between joint_names and positions or velocities."
+            if len(point.effort):
+                return "Trajectories with effort fields are only supported with the 'effort' command interface."
+        return ""
+
+    def take(self, trajectory: JointTrajectory, now_s: float, tolerances: Tolerances | None = None) -> None:
+        """Follow a trajectory that `refusal` has nothing against; it replaces the one before at once."""
+        stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
+        begin_s = stamp_s or now_s
+        order = [list(trajectory.joint_names).index(n) if n in trajectory.joint_names else -1 for n in self.joints]
+        base = self.reference if self._from_desired else self.measured
+        velocity = self.reference_velocity if self._from_desired else self.measured_velocity
+        self._points = [(now_s, base.copy(), velocity.copy())]
+        for point in trajectory.points:
+            due_s = begin_s + _seconds(point)
+            if due_s <= now_s and point is not trajectory.points[-1]:
+                continue  # the part that lies in the past is dropped
+            position = np.array([point.positions[i] if i >= 0 else b for i, b in zip(order, base, strict=True)])
+            moving = None
+            if len(point.velocities):
+                moving = np.array([point.velocities[i] if i >= 0 else 0.0 for i in order])
+            self._points.append((max(due_s, now_s), position, moving))
+        self._tolerances = tolerances or self.defaults
+        self._is_done = False
+
+    def hold(self) -> None:
+        """Stay at the measured position, at once."""
+        self.reference, self.reference_velocity = self.measured.copy(), np.zeros_like(self.measured)
+        self._points, self._is_done = [], True
+
+    def update(self, now_s: float) -> Verdict | None:
+        """One cycle at ROS time `now_s`; returns how the trajectory ended, once."""
+        step_s, self._now_s = now_s - self._now_s, now_s
+        if not self.active:
+            self.measured_velocity = np.zeros_like(self.measured)
+            return None
+        if self._points:
+            self.reference, self.reference_velocity = self._sample(now_s)
+        if not self.blocked:
+            if step_s > 0.0:
+                self.measured_velocity = (self.reference - self.measured) / step_s
+            self.measured = self.reference.copy()
+        else:
+            self.measured_velocity = np.zeros_like(self.measured)
+        return None if self._is_done else self._judge(now_s)
+
+    def _sample(self, now_s: float) -> tuple[F64, F64]:
+        """Linear between positions, a cubic where the end of a segment has velocities."""
+        for (from_s, p0, v0), (to_s, p1, v1) in zip(self._points, self._points[1:], strict=False):
+            if now_s >= to_s or to_s <= from_s:
+                continue
+            span_s = to_s - from_s
+            t = (now_s - from_s) / span_s
+            if v1 is None or v0 is None:
+                return p0 + (p1 - p0) * t, (p1 - p0) / span_s
+            square = 3 * (p1 - p0) - (2 * v0 + v1) * span_s
+            cube = 2 * (p0 - p1) + (v0 + v1) * span_s
+            position = p0 + v0 * span_s * t + square * t**2 + cube * t**3
+            return position, v0 + (2 * square * t + 3 * cube * t**2) / span_s
+        return self._points[-1][1].copy(), np.zeros_like(self.measured)
+
+    def _judge(self, now_s: float) -> Verdict | None:
+        error = dict(zip(self.joints, np.abs(self.reference - self.measured).tolist(), strict=True))
+        end_s, active = self._points[-1][0], self._tolerances
+        if now_s < end_s:
+            if any(0.0 < bound < error[name] for name, bound in active.path.items()):
+                self.hold()
+                return Verdict(code=PATH_VIOLATED, text="Aborted due to path tolerance violation")
+            return None
+        if all(bound <= 0.0 or error[name] <= bound for name, bound in active.goal.items()):
+            self._is_done = True
+            return Verdict(code=SUCCESSFUL, text="Goal successfully reached!")
+        if active.goal_time_s and now_s - end_s > active.goal_time_s:
+            self.hold()
+            return Verdict(code=GOAL_VIOLATED, text="Aborted due to goal_time_tolerance exceeding")
+        return None
+
+
+def _seconds(point: JointTrajectoryPoint) -> float:
+    return float(point.time_from_start.sec) + float(point.time_from_start.nanosec) * 1e-9

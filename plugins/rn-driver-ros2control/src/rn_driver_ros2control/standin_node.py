@@ -1,0 +1,223 @@
+"""`python -m rn_driver_ros2control.standin_node`: the stand-in as a ROS 2 node, with joint states and a gripper.
+
+Offers what a real controller does under its name (`joint_trajectory`, `follow_joint_trajectory`, `controller_state`),
+`/joint_states`, a gripper action, and two services for tests: `<controller>/activate` and `<controller>/block`
+(std_srvs/SetBool). It moves nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rclpy
+from control_msgs.action import FollowJointTrajectory, GripperCommand
+from control_msgs.msg import JointTrajectoryControllerState
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from rn_driver_ros2control.standin import INVALID_GOAL, SUCCESSFUL, StandIn, Tolerances, Verdict
+
+_FINGER_M_S = 0.05
+_CANCELLED = Verdict(code=SUCCESSFUL, text="")
+
+
+class StandInNode(Node):  # type: ignore[misc]
+    """One controller and one gripper joint."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        """Create everything; the timer begins with the executor."""
+        namespace, _, name = options.controller.rpartition("/")
+        super().__init__(name, namespace=namespace or "/", start_parameter_services=False)
+        joints = tuple(options.joints)
+        start = np.array(options.start or [0.0] * len(joints))
+        bounds = Tolerances(
+            path=dict.fromkeys(joints, options.path_tolerance),
+            goal=dict.fromkeys(joints, options.goal_tolerance),
+            goal_time_s=options.goal_time,
+        )
+        self.controller = StandIn(joints, start, tolerances=bounds, from_desired=options.from_desired)
+        self.controller.active = not options.inactive
+        self._finger, self._finger_m, self._finger_goal_m = options.gripper_joint, options.opening, options.opening
+        self._object_m = options.object
+        self._goal: Any = None
+        self._done: Future | None = None
+        self._finger_done: Future | None = None
+        self._states = self.create_publisher(JointState, options.joint_states, 10)
+        self._reports = self.create_publisher(JointTrajectoryControllerState, "~/controller_state", 10)
+        self.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
+        self.create_service(SetBool, "~/activate", self._on_activate)
+        self.create_service(SetBool, "~/block", self._on_block)
+        self._server: Any = ActionServer(
+            self,
+            FollowJointTrajectory,
+            "~/follow_joint_trajectory",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            handle_accepted_callback=self._on_accepted,
+            cancel_callback=self._on_cancel,
+        )
+        if self._finger:
+            self._gripper: Any = ActionServer(self, GripperCommand, options.gripper_action, self._execute_gripper)
+        self._period_s = 1.0 / options.rate
+        self.create_timer(self._period_s, self._cycle)
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds) / 1e9
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if reason := self.controller.refusal(message, self._now_s()):
+            self.get_logger().error(reason)
+        elif self.controller.active:
+            self.controller.take(message, self._now_s())  # an active goal goes on, and is not told
+
+    def _on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
+        reason = self.controller.refusal(goal.trajectory, self._now_s())
+        if not self.controller.active:
+            reason = "Can't accept new action goals. Controller is not running."
+        if reason:
+            self.get_logger().error(reason)
+        return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
+
+    def _on_accepted(self, handle: Any) -> None:
+        self._finish(Verdict(code=INVALID_GOAL, text="Current goal preempted by new incoming action."))
+        goal = handle.request
+        bounds = self.controller.defaults.with_goal(
+            {t.name: t.position for t in goal.path_tolerance},
+            {t.name: t.position for t in goal.goal_tolerance},
+            goal.goal_time_tolerance.sec + goal.goal_time_tolerance.nanosec * 1e-9,
+        )
+        self.controller.take(goal.trajectory, self._now_s(), bounds)
+        self._goal, self._done = handle, Future(executor=self.executor)
+        handle.execute()
+
+    def _on_cancel(self, handle: Any) -> CancelResponse:
+        if handle is self._goal or (self._goal is not None and handle.goal_id == self._goal.goal_id):
+            self.controller.hold()
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, handle: Any) -> FollowJointTrajectory.Result:
+        done = self._done
+        assert done is not None
+        verdict: Verdict = await done
+        if verdict is _CANCELLED:
+            handle.canceled()
+        elif verdict.code == SUCCESSFUL:
+            handle.succeed()
+        else:
+            handle.abort()
+        return FollowJointTrajectory.Result(error_code=int(verdict.code), error_string=verdict.text)
+
+    def _finish(self, verdict: Verdict) -> None:
+        """Tell the client of the active goal, if there is one."""
+        done, self._goal, self._done = self._done, None, None
+        if done is not None and not done.done():
+            done.set_result(verdict)
+
+    def _on_activate(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            self._finish(Verdict(code=INVALID_GOAL, text="Current goal cancelled during deactivate transition."))
+        self.controller.hold()
+        self.controller.active = request.data
+        response.success = True
+        return response
+
+    def _on_block(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.controller.blocked = request.data
+        response.success = True
+        return response
+
+    async def _execute_gripper(self, handle: Any) -> GripperCommand.Result:
+        if self._finger_done is not None and not self._finger_done.done():
+            self._finger_done.set_result(False)  # preempted
+        self._finger_goal_m = float(handle.request.command.position)
+        self._finger_done = Future(executor=self.executor)
+        reached = await self._finger_done
+        handle.succeed() if reached is not False else handle.abort()
+        stalled = abs(self._finger_m - self._finger_goal_m) > 1e-4
+        return GripperCommand.Result(position=float(self._finger_m), stalled=stalled, reached_goal=not stalled)
+
+    def _move_finger(self) -> None:
+        least_m = max(self._finger_goal_m, self._object_m) if self._finger_goal_m < self._finger_m else -np.inf
+        goal_m = max(self._finger_goal_m, least_m)
+        step_m = _FINGER_M_S * self._period_s
+        self._finger_m += float(np.clip(goal_m - self._finger_m, -step_m, step_m))
+        if abs(goal_m - self._finger_m) < 1e-6 and self._finger_done is not None and not self._finger_done.done():
+            self._finger_done.set_result(True)
+
+    def _cycle(self) -> None:
+        controller = self.controller
+        verdict = controller.update(self._now_s())
+        if self._goal is not None and self._goal.is_cancel_requested:
+            self._finish(_CANCELLED)
+        elif verdict is not None:
+            self._finish(verdict)
+        self._move_finger()
+        stamp = self.get_clock().now().to_msg()
+        names, position, velocity = list(controller.joints), controller.measured.tolist(), controller.measured_velocity
+        fingers = [self._finger] if self._finger else []
+        state = JointState(
+            name=[*names, *fingers],
+            position=[*position, *([float(self._finger_m)] if fingers else [])],
+            velocity=[*velocity.tolist(), *([0.0] if fingers else [])],
+        )
+        state.header.stamp = stamp
+        self._states.publish(state)
+        if not controller.active:
+            return
+        report = JointTrajectoryControllerState(joint_names=names, speed_scaling_factor=1.0)
+        report.header.stamp = stamp
+        report.reference.positions = controller.reference.tolist()
+        report.reference.velocities = controller.reference_velocity.tolist()
+        report.feedback.positions = position
+        report.error.positions = (controller.reference - controller.measured).tolist()
+        self._reports.publish(report)
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Options of the program."""
+    parser = argparse.ArgumentParser(prog="python -m rn_driver_ros2control.standin_node", description=__doc__)
+    parser.add_argument("--controller", default="/joint_trajectory_controller", help="absolute name")
+    parser.add_argument("--joints", nargs="+", required=True, help="names of the joints it moves")
+    parser.add_argument("--start", nargs="+", type=float, help="their positions at the start; 0 each when left out")
+    parser.add_argument("--joint-states", default="/joint_states")
+    parser.add_argument("--gripper-joint", default="", help="name of a gripper joint; none when left out")
+    parser.add_argument("--gripper-action", default="/gripper_controller/gripper_cmd")
+    parser.add_argument("--opening", type=float, default=0.04, help="position of the gripper joint at the start [m]")
+    parser.add_argument("--object", type=float, default=0.0, help="where closing fingers meet something [m]")
+    parser.add_argument("--path-tolerance", type=float, default=0.0, help="constraints.<joint>.trajectory")
+    parser.add_argument("--goal-tolerance", type=float, default=0.0, help="constraints.<joint>.goal")
+    parser.add_argument("--goal-time", type=float, default=0.0, help="constraints.goal_time")
+    parser.add_argument("--from-desired", action="store_true", help="interpolate_from_desired_state")
+    parser.add_argument("--inactive", action="store_true", help="begin inactive")
+    parser.add_argument("--rate", type=float, default=100.0, help="cycles per second")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run until SIGINT or SIGTERM."""
+    options = parse(arguments)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.ALL)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    node = StandInNode(options)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Targets -> `JointTrajectory`: durations within the limits, and braking to a standstill. Pure computation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from roboneuron import JointLimits
+
+F64 = NDArray[np.float64]
+_CUBIC_PEAK = 1.5
+"""Peak velocity of a cubic from rest to rest, as a multiple of the mean."""
+_CUBIC_ACCELERATION = 6.0
+"""Its greatest acceleration is 6 distance / duration^2, at both ends."""
+_LEAST_S = 0.02
+_BRAKING_SHARE = 0.8
+"""Share of the acceleration limit that a stop uses: the measured velocity is not exact."""
+
+
+def to_duration(seconds: float) -> Duration:
+    """Seconds -> builtin_interfaces/Duration."""
+    total = round(seconds * 1e9)
+    return Duration(sec=int(total // 1_000_000_000), nanosec=int(total % 1_000_000_000))
+
+
+def shortest_s(start: F64, goal: F64, limits: JointLimits, *, cubic: bool) -> float:
+    """Least duration of one segment from `start` to `goal`, float64 (n,), within velocity (and acceleration) limits."""
+    distance = np.abs(goal - start)
+    if not cubic:
+        return float(np.max(distance / limits.velocity, initial=_LEAST_S))
+    by_velocity = _CUBIC_PEAK * distance / limits.velocity
+    by_acceleration = np.sqrt(_CUBIC_ACCELERATION * distance / limits.acceleration)
+    return float(np.max(np.maximum(by_velocity, by_acceleration), initial=_LEAST_S))
+
+
+def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, float]:
+    """Where and when to come to rest from `position` moving at `velocity`, each (n,).
+
+    All joints brake evenly for the time T that the slowest needs. The cubic from there with velocity zero at the end
+    is then exactly the parabola p + v t - v t^2 / (2 T): constant deceleration, no overshoot.
+    """
+    duration_s = float(np.max(np.abs(velocity) / (_BRAKING_SHARE * limits.acceleration), initial=_LEAST_S))
+    return np.clip(position + velocity * duration_s / 2.0, limits.lower, limits.upper), duration_s
+
+
+def to_message(names: Sequence[str], position: F64, duration_s: float, *, rest: bool) -> JointTrajectory:
+    """A trajectory of one point that begins when it arrives; with `rest`, at velocity zero there."""
+    point = JointTrajectoryPoint(positions=[float(value) for value in position])
+    if rest:
+        point.velocities = [0.0] * len(names)
+    point.time_from_start = to_duration(duration_s)
+    return JointTrajectory(joint_names=list(names), points=[point])

@@ -1,0 +1,27 @@
+"""Every rule of robot drivers, on the FR3 driven through a stand-in controller, in both modes."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("control_msgs", reason="rn-interfaces-control is not built here (it needs a C++ compiler)")
+
+from rn_robot_fr3.plugin import roboneuron_robots
+from rn_testing.cases import RobotCase
+from rn_testing.contracts import RobotContract
+
+
+@pytest.mark.usefixtures("rig")
+class TestByTopic(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        options = {"gripper": "gripper-command"}
+        return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)
+
+
+@pytest.mark.usefixtures("rig")
+class TestByAction(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        options = {"gripper": "gripper-command", "mode": "action", "interpolation": "cubic"}
+        return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)

@@ -1,0 +1,33 @@
+"""One profile, several drivers: what an agent sees of the robot is the same whichever moves it."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from rn_robot_fr3.plugin import roboneuron_robots
+from roboneuron.plugins.loading import load_options_model, load_target
+
+SPEC = roboneuron_robots()[0]
+
+
+def test_the_drivers_by_name():
+    assert {"simulated", "ros2-control"} <= {driver.name for driver in SPEC.drivers}
+
+
+@pytest.mark.parametrize("driver", SPEC.drivers, ids=lambda driver: driver.name)
+def test_every_driver_takes_options_profile_and_topics(driver):
+    for requirement in driver.requires:
+        for module in (requirement.module, *requirement.alternatives):
+            try:
+                __import__(module)
+            except ModuleNotFoundError:
+                continue
+            break
+        else:
+            pytest.skip(f"{requirement.module} is not installed: {requirement.install}")
+    assert list(inspect.signature(load_target(driver)).parameters) == ["config", "profile", "topics"]
+    assert load_options_model(driver) is not None
+    for method in ("open", "read", "send", "hold", "close"):
+        assert callable(getattr(load_target(driver), method))
