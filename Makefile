@@ -65,12 +65,15 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_plugins_list.py
 	$(BIN)/python benchmarks/bench_ik.py
 	$(BIN)/python benchmarks/bench_loop.py
+	$(BIN)/python benchmarks/bench_execution.py --virtual
+	$(BIN)/python benchmarks/bench_execution.py
 	$(BIN)/python benchmarks/bench_start_stop.py
 	$(BIN)/python benchmarks/bench_round_trip.py
 	$(BIN)/python benchmarks/bench_switch.py
 	$(BIN)/python benchmarks/bench_faults.py
 	$(BIN)/python benchmarks/bench_direct.py
 	$(BIN)/python benchmarks/bench_servo.py
+	$(BIN)/python benchmarks/bench_servo.py --added-latency-ms 300
 	$(BIN)/python benchmarks/bench_interfaces.py
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers

@@ -163,12 +163,12 @@ def relay(environment: dict[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def inference(environment: dict[str, str], scratch: Path) -> Iterator[None]:
-    """Our inference module in its process, configured and active."""
+def inference(environment: dict[str, str], scratch: Path, configuration: str = CONFIGURATION) -> Iterator[None]:
+    """Our inference module in its process, configured and active; the robot is named "bench"."""
     settings = ModuleSettings(
         kind="inference",
         node_name="inference",
-        config=parse_config(CONFIGURATION),
+        config=parse_config(configuration),
         state_directory=str(scratch),
     )
     with (scratch / "inference.log").open("ab") as log:

@@ -1,11 +1,14 @@
 """How often the backend "servo" lifts the cube it is told to: servo -> controller "urdf" -> simulated FR3, headless.
 
     python benchmarks/bench_servo.py [--seeds 50] [--jobs 2] [--latency-frames 1] [--cameras front,wrist]
+                                     [--added-latency-ms 300] [--rows 12]
 
 One process per job, no ROS: everything runs at 10 Hz of simulated time, as fast as the machine allows. Images are one
 frame (100 ms) older than the pose that comes with them. Each seed is a scene of four cubes; the named colour is random.
 Only the simulator's own state counts: the named cube is at least 10 cm above where it lay, for one second without a
 break, and no other cube is. The floor is what the bare simulation (physics and both pictures) of the same steps costs.
+With --added-latency-ms each answer of the servo comes so much later in simulated time; the executor of the inference
+module plays its chunks meanwhile, and the table tells at which rate.
 Exit status 1 below 95 %.
 """
 
@@ -26,16 +29,25 @@ from rich.progress import track
 from rich.table import Table
 
 from rn_backend_servo.backend import ServoBackend
+from rn_backend_servo.options import ServoOptions
+from rn_backend_servo.plugin import roboneuron_backends
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.profile import profile as fr3_profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
-from roboneuron.contract import Action, Frame, Hold, JointSample, Observation
-from roboneuron.errors import RoboNeuronError
+from roboneuron.contract import Action, ActionChunk, Frame, Hold, JointSample, Observation
+from roboneuron.errors import NotReadyError, RoboNeuronError
+from roboneuron.modules.execution import MODES, Abilities, Bounds, ChunkExecutor, Mode, Prediction
 
 PERIOD_S = 0.1
 MOST_S = 60.0
 HELD_S = 1.0
 LEAST_SHARE = 0.95
+TICK_STEPS = 6
+TICKS_PER_PERIOD = round(PERIOD_S / STEP_S) // TICK_STEPS
+ROUNDING_S = 1e-6
+MAX_IMAGE_AGE_S = 0.5
+MOST_ERRORS = 30
+ROWS_WITH_LATENCY = 12
 PHRASES = ("pick up the {} cube", "grab the {} block", "Please lift the {} box.", "take the {} one", "GET THE {} CUBE!")
 
 
@@ -47,6 +59,9 @@ class Job:
     latency_frames: int
     cameras: tuple[str, ...]
     pictures: Path | None
+    added_latency_s: float | None
+    rows: int
+    mode: Mode | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,6 +76,7 @@ class Outcome:
         failed_attempts: grasps that the servo had to repeat.
         holds: refusals of the controller by code.
         predict_ms, simulate_ms: median wall time per step of the servo, and of physics and pictures.
+        mode, rate, starved_periods, longest_gap_s: of chunk execution; empty, 1 and 0 without added latency.
     """
 
     seed: int
@@ -72,6 +88,10 @@ class Outcome:
     holds: dict[str, int]
     predict_ms: float
     simulate_ms: float
+    mode: str
+    rate: float
+    starved_periods: int
+    longest_gap_s: float
 
 
 def look(simulation: Simulation, cameras: tuple[str, ...]) -> dict[str, Frame]:
@@ -98,81 +118,163 @@ def save_strip(pictures: list[np.ndarray], path: Path) -> None:
     Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(path)
 
 
+class Episode:
+    """One scene: the simulated arm, the servo and the controller, and what is noted of them."""
+
+    def __init__(self, job: Job, simulation: Simulation) -> None:
+        random = np.random.default_rng([job.seed, 7])
+        self.job, self.simulation = job, simulation
+        self.servo, self.controller = ServoBackend(ServoOptions(rows=job.rows)), UrdfController(None, fr3_profile())
+        self.servo.load()
+        self.controller.load()
+        self.colour = str(random.choice(sorted(simulation.cubes())))
+        self.instruction = PHRASES[int(random.integers(len(PHRASES)))].format(self.colour)
+        self.holds: Counter[str] = Counter()
+        self.predict_ms: list[float] = []
+        self.simulate_ms: list[float] = []
+        self.pictures: list[np.ndarray] = []
+        self.reason, self.note, self.errors, self.attempts = "time ran out", "", 0, 0
+        self.delayed = deque([look(simulation, job.cameras)], maxlen=job.latency_frames + 1)
+
+    def look(self) -> None:
+        """Take the pictures of one period."""
+        self.delayed.append(look(self.simulation, self.job.cameras))
+        if self.job.pictures and round(self.simulation.time_s / PERIOD_S) % 5 == 0:
+            self.pictures.append(np.concatenate([frame.image for frame in self.delayed[-1].values()]))
+
+    def joints(self) -> JointSample:
+        """Measured now."""
+        simulation = self.simulation
+        return JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=round(simulation.time_s * 1e9))
+
+    def observe(self) -> Observation | None:
+        """The newest images that have arrived and the newest state; None before the first."""
+        if len(self.delayed) <= self.job.latency_frames:
+            return None
+        frames, joints = self.delayed[0], self.joints()
+        return Observation(
+            frames=frames,
+            instruction=self.instruction,
+            joints=joints,
+            ee_pose=self.controller.forward(joints),
+            gripper_open=self.simulation.gripper_open(),
+            stamp_ns=min(frame.stamp_ns for frame in frames.values()),
+        )
+
+    def predict(self, observation: Observation) -> ActionChunk | None:
+        """Ask the servo; None when it refuses."""
+        start = time.perf_counter()
+        try:
+            chunk = self.servo.predict(observation)
+        except RoboNeuronError as error:
+            self.reason, self.errors = str(error), self.errors + 1
+            return None
+        self.predict_ms.append((time.perf_counter() - start) * 1e3)
+        self.attempts, self.note = int(chunk.metrics["failed_attempts"]), chunk.note
+        return chunk
+
+    def act(self, vector: np.ndarray) -> None:
+        """Carry one action out."""
+        answer = self.controller.compute(Action.from_vector(vector), self.joints(), PERIOD_S)
+        if isinstance(answer, Hold):
+            self.holds[answer.code] += 1
+            self.reason = f"time ran out while {self.note}; last refusal: {answer.reason}"
+            self.simulation.hold()
+        else:
+            self.simulation.set_target(answer.names, answer.position, answer.duration_s)
+            self.reason = f"time ran out while {self.note}"
+
+    def is_over(self) -> bool:
+        """The cube is held for long enough, or nothing can come of it any more."""
+        cubes = self.simulation.cubes()
+        if cubes[self.colour].held_s >= HELD_S:
+            others = [name for name, cube in cubes.items() if name != self.colour and cube.held_s > 0]
+            self.reason = f"lifted {', '.join(others)} as well" if others else ""
+            return True
+        return self.errors > MOST_ERRORS or self.simulation.time_s >= MOST_S
+
+
+def play_at_once(episode: Episode) -> None:
+    """A prediction every period, carried out in the same moment."""
+    while not episode.is_over():
+        start = time.perf_counter()
+        episode.simulation.step(round(PERIOD_S / STEP_S))
+        episode.look()
+        episode.simulate_ms.append((time.perf_counter() - start) * 1e3)
+        observation = episode.observe()
+        if observation is None:
+            continue
+        chunk = episode.predict(observation)
+        if chunk is None:
+            episode.simulation.hold()
+        else:
+            episode.act(chunk.actions[0])
+
+
+def play_overlapped(episode: Episode, added_latency_s: float) -> ChunkExecutor:
+    """Answers come late; the executor decides, by simulated time, when to predict and which row to send."""
+    job, simulation = episode.job, episode.simulation
+    abilities = Abilities(conditions_on_rows=roboneuron_backends()[0].conditions_on_rows)
+    executor = ChunkExecutor(abilities, fixed=job.mode, bounds=Bounds(first_s=MAX_IMAGE_AGE_S))
+    executor.begin_epoch()
+    pending: tuple[float, Prediction, ActionChunk] | None = None
+    used_ns, ticks = -1, 0
+    while not episode.is_over():
+        start = time.perf_counter()
+        simulation.step(TICK_STEPS)
+        ticks += 1
+        if ticks % TICKS_PER_PERIOD == 0:
+            episode.look()
+        episode.simulate_ms.append((time.perf_counter() - start) * 1e3 * TICKS_PER_PERIOD)
+        now_s, now_ns = simulation.time_s, round(simulation.time_s * 1e9)
+        if pending is not None and now_s >= pending[0] - ROUNDING_S:
+            executor.answer(pending[1], pending[2], now_ns)
+            pending = None
+        observation = episode.observe() if pending is None and executor.wants_prediction(now_s) else None
+        captured_ns = observation.frames["primary"].stamp_ns if observation is not None else used_ns
+        if observation is not None and captured_ns > used_ns:
+            used_ns = captured_ns
+            prediction = executor.begin(observation, captured_ns)
+            chunk = episode.predict(prediction.observation)
+            pending = None if chunk is None else (now_s + added_latency_s, prediction, chunk)
+        try:
+            row = executor.play(now_s, now_ns)
+        except NotReadyError as error:
+            episode.reason, row = str(error), None
+        if row is not None:
+            episode.act(row.vector)
+    return executor
+
+
 def run(job: Job) -> Outcome:
     """Play one scene to its end."""
-    random = np.random.default_rng([job.seed, 7])
-    robot = fr3_profile()
-    assert robot.gripper is not None
-    servo, controller = ServoBackend(None), UrdfController(None, robot)
-    servo.load()
-    controller.load()
-    holds: Counter[str] = Counter()
-    predict_ms: list[float] = []
-    simulate_ms: list[float] = []
-    pictures: list[np.ndarray] = []
-    reason, error_steps, attempts = "time ran out", 0, 0
     with Simulation(job.seed) as simulation:
-        colour = str(random.choice(sorted(simulation.cubes())))
-        instruction = PHRASES[int(random.integers(len(PHRASES)))].format(colour)
-        delayed = deque([look(simulation, job.cameras)], maxlen=job.latency_frames + 1)
-        while simulation.time_s < MOST_S:
-            start = time.perf_counter()
-            simulation.step(round(PERIOD_S / STEP_S))
-            delayed.append(look(simulation, job.cameras))
-            simulate_ms.append((time.perf_counter() - start) * 1e3)
-            frames = delayed[0]
-            joints = JointSample(
-                names=JOINTS, position=simulation.joint_positions(), stamp_ns=round(simulation.time_s * 1e9)
-            )
-            observation = Observation(
-                frames=frames,
-                instruction=instruction,
-                joints=joints,
-                ee_pose=controller.forward(joints),
-                gripper_open=simulation.gripper_open(),
-                stamp_ns=min(frame.stamp_ns for frame in frames.values()),
-            )
-            if job.pictures and round(simulation.time_s / PERIOD_S) % 5 == 0:
-                pictures.append(np.concatenate([frame.image for frame in delayed[-1].values()]))
-            if len(delayed) <= job.latency_frames:
-                continue
-            start = time.perf_counter()
-            try:
-                chunk = servo.predict(observation)
-            except RoboNeuronError as error:
-                reason, error_steps = str(error), error_steps + 1
-                simulation.hold()
-                if error_steps > 30:
-                    break
-                continue
-            predict_ms.append((time.perf_counter() - start) * 1e3)
-            attempts = int(chunk.metrics["failed_attempts"])
-            answer = controller.compute(Action.from_vector(chunk.actions[0]), joints, PERIOD_S)
-            if isinstance(answer, Hold):
-                holds[answer.code] += 1
-                reason = f"time ran out while {chunk.note}; last refusal: {answer.reason}"
-                simulation.hold()
-            else:
-                simulation.set_target(answer.names, answer.position, answer.duration_s)
-                reason = f"time ran out while {chunk.note}"
-            cubes = simulation.cubes()
-            if cubes[colour].held_s >= HELD_S:
-                others = [name for name, cube in cubes.items() if name != colour and cube.held_s > 0]
-                reason = f"lifted {', '.join(others)} as well" if others else ""
-                break
+        episode = Episode(job, simulation)
+        mode, rate, starved_periods, longest_gap_s = "", 1.0, 0, 0.0
+        if job.added_latency_s is None:
+            play_at_once(episode)
+        else:
+            status = play_overlapped(episode, job.added_latency_s).status()
+            delivery = status.delivery
+            mode, rate = status.choice.mode, delivery.rate or 0.0
+            starved_periods, longest_gap_s = delivery.starved_periods, delivery.longest_gap_s
         outcome = Outcome(
             seed=job.seed,
-            instruction=instruction,
-            is_lifted=not reason,
-            reason=reason,
+            instruction=episode.instruction,
+            is_lifted=not episode.reason,
+            reason=episode.reason,
             simulated_s=simulation.time_s,
-            failed_attempts=attempts,
-            holds=dict(holds),
-            predict_ms=float(np.median(predict_ms)) if predict_ms else float("nan"),
-            simulate_ms=float(np.median(simulate_ms)),
+            failed_attempts=episode.attempts,
+            holds=dict(episode.holds),
+            predict_ms=float(np.median(episode.predict_ms)) if episode.predict_ms else float("nan"),
+            simulate_ms=float(np.median(episode.simulate_ms)),
+            mode=mode,
+            rate=rate,
+            starved_periods=starved_periods,
+            longest_gap_s=longest_gap_s,
         )
     if job.pictures:
-        save_strip(pictures, job.pictures / f"seed{job.seed:03d}.png")
+        save_strip(episode.pictures, job.pictures / f"seed{job.seed:03d}.png")
     return outcome
 
 
@@ -195,6 +297,13 @@ def report(outcomes: list[Outcome], console: Console) -> None:
     table.add_row("servo per step, median", f"{predict:.1f} ms")
     table.add_row("floor: physics and pictures per step, median", f"{simulate:.1f} ms")
     table.add_row("servo over floor", f"{predict / simulate:.2f}x")
+    if outcomes[0].mode:
+        modes = Counter(o.mode for o in outcomes)
+        table.add_row("execution", ", ".join(f"{mode} ({n})" for mode, n in modes.items()))
+        rates = [o.rate / PERIOD_S for o in outcomes]
+        table.add_row("rate delivered, mean / least", f"{np.mean(rates):.2f} / {min(rates):.2f} Hz")
+        table.add_row("starved periods, all scenes", str(sum(o.starved_periods for o in outcomes)))
+        table.add_row("longest gap", f"{max(o.longest_gap_s for o in outcomes) * 1e3:.0f} ms")
     console.print(table)
     for outcome in outcomes:
         if not outcome.is_lifted:
@@ -212,13 +321,20 @@ def main() -> int:
     )
     parser.add_argument("--cameras", default="front,wrist", help="cameras the servo gets (default front,wrist)")
     parser.add_argument("--pictures", type=Path, help="folder for a strip of pictures per seed")
+    parser.add_argument("--added-latency-ms", type=float, help="each answer comes so much later, in simulated time")
+    parser.add_argument("--rows", type=int, help="rows of a chunk (default 12 with added latency, else 1)")
+    parser.add_argument("--mode", choices=MODES, help="how chunks are executed (default: chosen by the latency)")
     arguments = parser.parse_args()
+    added_ms = arguments.added_latency_ms
     jobs = [
         Job(
             seed=seed,
             latency_frames=arguments.latency_frames,
             cameras=tuple(arguments.cameras.split(",")),
             pictures=arguments.pictures,
+            added_latency_s=None if added_ms is None else added_ms / 1e3,
+            rows=arguments.rows or (1 if added_ms is None else ROWS_WITH_LATENCY),
+            mode=arguments.mode,
         )
         for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     ]

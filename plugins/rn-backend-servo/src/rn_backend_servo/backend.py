@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rn_backend_servo.chunk import chunk_rows, kept_rows, pose_after, rows_done
 from rn_backend_servo.geometry import matrix_of
 from rn_backend_servo.history import PoseHistory
 from rn_backend_servo.instruction import parse_instruction
@@ -28,8 +29,9 @@ from roboneuron import (
 class ServoBackend:
     """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening, nothing else.
 
-    One action per prediction, at most `max_step_m` long. Raising leaves the state machine where it was, so that the
-    episode goes on when the cause (a black image, a hidden cube) is gone.
+    One action per prediction, or `rows` of them, each at most `max_step_m` long. A chunk of several rows continues the
+    rows that are played meanwhile (`Observation.ahead`) and then leads from where they end to the goal. Raising leaves
+    the state machine where it was, so that the episode goes on when the cause (a black image, a hidden cube) is gone.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class ServoBackend:
         self._is_loaded = False
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Return the next small motion of the TCP.
+        """Return the next small motions of the TCP.
 
         Raises:
             UngroundedError: the instruction, the images or a run of failed grasps leave nothing sensible to do.
@@ -94,11 +96,14 @@ class ServoBackend:
         sighting = look(observation.frames, places, colour, self._options)
         if sighting is None and self._policy.episode.phase is Phase.SEARCH:
             raise not_visible(observation.frames, colour)
-        motion = self._policy.step(sighting, matrix_of(pose), gripper_open)
+        options = self._options
+        tcp, kept = matrix_of(pose), kept_rows(observation.ahead, options.rows)
+        start = pose_after(tcp, kept, rows_done(pose.stamp_ns, primary.stamp_ns, options.step_s))
+        motion = self._policy.step(sighting, tcp, gripper_open, start)
         episode = self._policy.episode
         return ActionChunk(
-            actions=np.concatenate([motion.translation_m, motion.rotation_rad, [motion.gripper_open]])[None],
-            step_s=self._options.step_s,
+            actions=chunk_rows(self._policy, motion, start, kept, options.rows),
+            step_s=options.step_s,
             metrics={
                 "remaining_m": motion.remaining_m,
                 "failed_attempts": float(episode.attempts),
@@ -107,6 +112,7 @@ class ServoBackend:
                 "misfit_px": sighting.estimate.misfit_px if sighting else 0.0,
             },
             note=f"{episode.phase.value} {colour} cube",
+            conditioned_rows=len(kept),
         )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from rn_backend_servo.plugin import MAX_ROWS
+
 
 class ServoOptions(BaseModel):
     """Options of the backend `servo`; lengths along z are heights in the robot's base frame."""
@@ -20,6 +22,9 @@ class ServoOptions(BaseModel):
     max_turn_rad: float = Field(default=0.2, gt=0, le=0.3, description="Largest rotation per action [rad].")
     gain: float = Field(default=0.5, gt=0, le=1, description="Share of the remaining error that one action asks for.")
     step_s: float = Field(default=0.1, gt=0, le=1, description="Time between two actions [s].")
+    rows: int = Field(
+        default=1, ge=1, le=MAX_ROWS, description="Actions per prediction; more keep the arm moving while it computes."
+    )
     max_attempts: int = Field(default=4, ge=1, le=20, description="Grasps tried before giving up.")
     holding_open: float = Field(
         default=0.15, gt=0, lt=1, description="Gripper opening above which something is between the closed fingers."

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 
 from roboneuron import ActionSpace, BackendSpec, hookimpl
 
+MAX_ROWS = 32
+"""Greatest value of the option `rows`."""
+
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
@@ -26,8 +29,9 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
                 rotation="rotvec",
                 frame="base",
                 gripper="open_fraction",
-                horizon=1,
+                horizon=MAX_ROWS,
                 step_s=0.1,
             ),
+            conditions_on_rows=True,
         )
     ]

@@ -39,12 +39,14 @@ class Motion:
         translation_m, rotation_rad: float64 (3,) each, TCP delta in the base frame.
         gripper_open: 0 closed .. 1 open.
         remaining_m: distance to the goal of the phase.
+        goal: TCP pose (4, 4) that it leads to; None for none: the arm is to stay.
     """
 
     translation_m: F64
     rotation_rad: F64
     gripper_open: float
     remaining_m: float = 0.0
+    goal: F64 | None = None
 
 
 class PickPolicy:
@@ -53,18 +55,22 @@ class PickPolicy:
     def __init__(self, options: ServoOptions) -> None:
         self._options = options
         self.episode = Episode()
+        self._start = np.eye(4)
 
     def reset(self) -> None:
         """Start anew."""
         self.episode = Episode()
 
-    def step(self, sighting: Sighting | None, T_base_tcp: F64, gripper_open: float) -> Motion:
+    def step(self, sighting: Sighting | None, T_base_tcp: F64, gripper_open: float, start: F64 | None = None) -> Motion:
         """Return the next motion.
+
+        What has happened is judged by the measured pose; the motion leads on from where the arm will be.
 
         Args:
             sighting: the named cube; None when it is not visible, which must not be in phase SEARCH.
             T_base_tcp: measured TCP pose (4, 4).
             gripper_open: measured opening.
+            start: TCP pose (4, 4) in which the motion will begin; the measured one when not given.
 
         Raises:
             UngroundedError: every attempt failed, or the arm does not get where it is sent; `reset` starts anew.
@@ -72,6 +78,7 @@ class PickPolicy:
         episode = self.episode
         if episode.failure:
             raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
+        self._start = T_base_tcp if start is None else start
         episode.steps += 1
         episode.openings.append(gripper_open)
         action = {
@@ -85,6 +92,11 @@ class PickPolicy:
             Phase.RETREAT: self._retreat,
         }[episode.phase]
         return action(sighting, T_base_tcp, gripper_open)
+
+    def continued(self, motion: Motion, start: F64) -> Motion:
+        """The motion after `motion`, from `start` (4, 4) on towards the same goal with the same opening."""
+        self._start = start
+        return motion if motion.goal is None else self._towards(motion.goal, motion.gripper_open)
 
     def _search(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         episode = self.episode
@@ -108,7 +120,7 @@ class PickPolicy:
                 return self._failed("the cube could not be seen as a whole", tcp)
         if self._is_late():
             return self._failed("the arm did not get above the cube", tcp)
-        return self._towards(goal, tcp, OPEN)
+        return self._towards(goal, OPEN)
 
     def _descend(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         options = self._options
@@ -118,12 +130,12 @@ class PickPolicy:
         goal = self._goal(target.x_m, target.y_m, options.grasp_m, target.yaw_rad)
         if self._is_near(goal, tcp):
             self.episode.enter(Phase.GRASP, tcp)
-            return self._towards(goal, tcp, CLOSED)
+            return self._towards(goal, CLOSED)
         if self._is_late():
             return self._failed("the arm did not get down to the cube", tcp)
-        if np.hypot(*(goal[:2, 3] - tcp[:2, 3])) > _STRAY_M:
-            goal[2, 3] = tcp[2, 3]
-        return self._towards(goal, tcp, OPEN)
+        if np.hypot(*(goal[:2, 3] - self._start[:2, 3])) > _STRAY_M:
+            goal[2, 3] = self._start[2, 3]
+        return self._towards(goal, OPEN)
 
     def _grasp(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         episode, target = self.episode, self._target()
@@ -136,7 +148,7 @@ class PickPolicy:
             if gripper_open > _FULLY_OPEN:
                 return self._failed("the gripper did not close", tcp)
             episode.enter(Phase.LIFT, tcp)
-        return self._towards(goal, tcp, CLOSED)
+        return self._towards(goal, CLOSED)
 
     def _lift(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         if gripper_open <= self._options.holding_open:
@@ -149,7 +161,7 @@ class PickPolicy:
             self.episode.enter(Phase.HOLD, tcp)
         elif self._is_late():
             return self._failed("the arm did not lift the cube", tcp)
-        return self._towards(goal, tcp, CLOSED)
+        return self._towards(goal, CLOSED)
 
     def _hold(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         if gripper_open <= self._options.holding_open:
@@ -165,7 +177,7 @@ class PickPolicy:
             self.episode.target = None
         elif self._is_late():
             self.episode.failure = "The arm does not move up as it is told to."
-        return self._towards(goal, tcp, OPEN)
+        return self._towards(goal, OPEN)
 
     def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
         """Straight down with the gripper closed, then open it: what was lifted goes back where it came from."""
@@ -177,7 +189,7 @@ class PickPolicy:
         elif episode.steps > _MOST_STEPS_RELEASE:
             episode.failure = "The gripper holds something that it could not put down."
         opening = OPEN if is_down or gripper_open > _FULLY_OPEN else CLOSED
-        return self._towards(goal, tcp, opening)
+        return self._towards(goal, opening)
 
     def _see(self, sighting: Sighting | None, tcp: F64) -> None:
         if sighting is None:
@@ -207,16 +219,17 @@ class PickPolicy:
     def _is_late(self) -> bool:
         return self.episode.steps > _MOST_STEPS[self.episode.phase]
 
-    def _towards(self, goal: F64, tcp: F64, gripper_open: float) -> Motion:
-        """A share of the way from `tcp` to `goal`, bounded; proportional control on the measured pose."""
+    def _towards(self, goal: F64, gripper_open: float) -> Motion:
+        """A share of the way from the start to `goal`, bounded; proportional control."""
         options = self._options
-        way = goal[:3, 3] - tcp[:3, 3]
-        turn = rotation_between(tcp[:3, :3], goal[:3, :3])
+        way = goal[:3, 3] - self._start[:3, 3]
+        turn = rotation_between(self._start[:3, :3], goal[:3, :3])
         return Motion(
             translation_m=_shortened(options.gain * way, options.max_step_m),
             rotation_rad=_shortened(options.gain * turn, options.max_turn_rad),
             gripper_open=gripper_open,
             remaining_m=float(np.linalg.norm(way)),
+            goal=goal,
         )
 
     def _failed(self, reason: str, tcp: F64) -> Motion:

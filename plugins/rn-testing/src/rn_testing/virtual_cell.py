@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import ActionChunk, Frame, Observation, Pose
+from roboneuron.contract import ActionChunk, Ahead, Frame, Observation, Pose
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Delivery, Mode, Prediction
 
@@ -75,52 +75,66 @@ class Outcomes:
     image_age_s: float
 
 
-@dataclass(slots=True)
-class _Cell:
-    trial: Trial
-    random: np.random.Generator
-    executor: ChunkExecutor
-    tcp_m: F64 = field(default_factory=lambda: np.zeros(3))
-    goal_m: F64 = field(default_factory=lambda: np.zeros(3))
-    sense: float = 1.0
-
-
-def _target_m(at_s: float, sense: float) -> F64:
+def target_m(at_s: float, sense: float) -> F64:
+    """Where the target is, circling in that sense, 1 or -1: float64 (3,)."""
     angle = _TURN_RAD_S * at_s * sense
     drift_m = 0.05 * math.sin(0.3 * at_s)
     return np.array([_RADIUS_M * math.cos(angle) + drift_m, _RADIUS_M * math.sin(angle), 0.0])
 
 
-def _predict(cell: _Cell, prediction: Prediction, at_s: float) -> ActionChunk:
-    """Deltas that lead from the observed TCP to where the target will be; the sense of rotation is drawn anew."""
-    trial = cell.trial
-    pose, ahead = prediction.observation.ee_pose, prediction.observation.ahead
-    assert pose is not None
-    start_s = at_s + (ahead.state_ahead_s if ahead is not None else 0.0)
-    if cell.random.random() < 0.2:
-        cell.sense = -cell.sense
-    here_m, rows, conditioned = pose.position_m, [], 0
-    committed: F64 = np.zeros((0, 7))
-    if ahead is not None and trial.abilities.conditions_on_rows:
-        committed = ahead.rows[: ahead.committed_rows]
-    for i in range(trial.horizon):
-        at = start_s + i * trial.step_s
-        target_m, next_m = _target_m(at, cell.sense), _target_m(at + trial.step_s, cell.sense)
-        delta_m = next_m - target_m + _GAIN * (target_m - here_m)
-        if i < len(committed):
-            delta_m, conditioned = committed[i][:3], conditioned + 1
-        elif len(committed):  # bends from the last committed row to the plan over four rows
-            share = min(1.0, (i - len(committed) + 1) / 5.0)
-            delta_m = (1.0 - share) * committed[-1][:3] + share * delta_m
-        rows.append([*delta_m, 0.0, 0.0, 0.0, float(cell.sense > 0)])
-        here_m = here_m + delta_m
-    return ActionChunk(actions=np.array(rows), step_s=trial.step_s, conditioned_rows=conditioned)
+@dataclass(slots=True)
+class Follower:
+    """The policy: deltas that lead from the observed TCP to where the target will be.
+
+    Attributes:
+        horizon: rows of a chunk.
+        step_s: their period [s].
+        conditions_on_rows: it continues the committed rows.
+        random: draws the sense of rotation anew.
+        sense: of the newest prediction, 1 or -1.
+    """
+
+    horizon: int
+    step_s: float
+    conditions_on_rows: bool
+    random: np.random.Generator
+    sense: float = 1.0
+
+    def predict(self, at_s: float, tcp_m: F64, ahead: Ahead | None) -> ActionChunk:
+        """The chunk for an image captured at that time, with the TCP there."""
+        start_s = at_s + (ahead.state_ahead_s if ahead is not None else 0.0)
+        if self.random.random() < 0.2:
+            self.sense = -self.sense
+        here_m, rows, conditioned = tcp_m, [], 0
+        committed: F64 = np.zeros((0, 7))
+        if ahead is not None and self.conditions_on_rows:
+            committed = ahead.rows[: ahead.committed_rows]
+        for i in range(self.horizon):
+            at = start_s + i * self.step_s
+            here_target_m, next_m = target_m(at, self.sense), target_m(at + self.step_s, self.sense)
+            delta_m = next_m - here_target_m + _GAIN * (here_target_m - here_m)
+            if i < len(committed):
+                delta_m, conditioned = committed[i][:3], conditioned + 1
+            elif len(committed):  # bends from the last committed row to the plan over four rows
+                share = min(1.0, (i - len(committed) + 1) / 5.0)
+                delta_m = (1.0 - share) * committed[-1][:3] + share * delta_m
+            rows.append([*delta_m, 0.0, 0.0, 0.0, float(self.sense > 0)])
+            here_m = here_m + delta_m
+        return ActionChunk(actions=np.array(rows), step_s=self.step_s, conditioned_rows=conditioned)
+
+
+@dataclass(slots=True)
+class _Cell:
+    policy: Follower
+    tcp_m: F64 = field(default_factory=lambda: np.zeros(3))
+    goal_m: F64 = field(default_factory=lambda: np.zeros(3))
 
 
 def run(trial: Trial) -> Outcomes:
     """Run one trial; the same trial gives the same outcome."""
     executor = ChunkExecutor(trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0))
-    cell = _Cell(trial, np.random.default_rng(trial.seed), executor)
+    random = np.random.default_rng(trial.seed)
+    cell = _Cell(Follower(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random))
     executor.begin_epoch()
     outcomes: dict[str, int] = {}
     played: list[tuple[int, int]] = []
@@ -149,8 +163,11 @@ def run(trial: Trial) -> Outcomes:
                 stamp_ns=captured_ns,
             )
             prediction = executor.begin(observation, captured_ns)
-            latency_s = trial.latency_s * math.exp(trial.jitter * cell.random.standard_normal())
-            pending = (now_s + latency_s, prediction, _predict(cell, prediction, captured_s))
+            latency_s = trial.latency_s * math.exp(trial.jitter * random.standard_normal())
+            pose = prediction.observation.ee_pose
+            assert pose is not None
+            chunk = cell.policy.predict(captured_s, pose.position_m, prediction.observation.ahead)
+            pending = (now_s + latency_s, prediction, chunk)
         try:
             row = executor.play(now_s, now_ns)
         except NotReadyError:
@@ -162,7 +179,7 @@ def run(trial: Trial) -> Outcomes:
             first_s = now_s if first_s is None else first_s
             last_s = now_s
         cell.tcp_m = cell.tcp_m + (cell.goal_m - cell.tcp_m) * min(1.0, _TICK_S / _LAG_S)
-        errors_m.append(float(np.linalg.norm(cell.tcp_m - _target_m(now_s, cell.sense))))
+        errors_m.append(float(np.linalg.norm(cell.tcp_m - target_m(now_s, cell.policy.sense))))
         now_s = round(now_s + _TICK_S, 6)
     assert first_s is not None
     assert last_s is not None
