@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 
@@ -103,6 +104,73 @@ def test_proprioception_and_words_are_never_dropped(tinies):
     assert positions.tolist() == sorted(positions.tolist())
     assert positions[0] == 0
     assert positions[129:].tolist() == list(range(513, count))  # 513 is the proprio token
+
+
+def _runtime(backend):
+    """The one that the backend was built with."""
+    return backend._runtime
+
+
+CYCLE = ("fastv-p25", "fastv-p50", None, "fastv-p75")
+
+
+def _made(name):
+    return None if name is None else PRESETS[name]()
+
+
+@pytest.mark.parametrize("family", ["openvla", "oft"])
+def test_a_preset_changed_in_place_gives_the_numbers_of_a_fresh_load(tinies, family):
+    observation = make_observation(SPECS[family])
+    fresh = {name: _backend(tinies, family, _made(name)).predict(observation) for name in CYCLE}
+    assert len({chunk.metrics["tokens_kept"] for chunk in fresh.values()}) == len(CYCLE)
+    running = _backend(tinies, family, FastVP50())
+    for name in (*CYCLE, *reversed(CYCLE)):
+        _runtime(running).set_acceleration(_made(name))
+        chunk = running.predict(observation)
+        assert chunk.metrics["tokens_kept"] == fresh[name].metrics["tokens_kept"]
+        assert np.array_equal(chunk.actions, fresh[name].actions), name
+
+
+@pytest.mark.parametrize("family", ["openvla", "oft"])
+def test_50_changes_read_no_file_and_hold_no_more_memory(tinies, family, monkeypatch):
+    import torch
+
+    def held_bytes():
+        gc.collect()
+        tensors = [found for found in gc.get_objects() if issubclass(type(found), torch.Tensor)]
+        return sum({t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in tensors}.values())
+
+    observation = make_observation(SPECS[family])
+    backend = _backend(tinies, family, FastVP50())
+    monkeypatch.setattr("rn_runtime_torch.engine.load_shards", lambda *_: pytest.fail("weights were read again"))
+    weights = [parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()]
+    before = 0
+    for count in range(54):
+        _runtime(backend).set_acceleration(_made(CYCLE[count % len(CYCLE)]))
+        backend.predict(observation)
+        if count == len(CYCLE) - 1:  # buffers have met the longest sequence
+            before = held_bytes()
+    assert held_bytes() == before
+    assert [parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()] == weights
+
+
+@pytest.mark.parametrize(
+    ("family", "unfit"),
+    [
+        ("openvla", FastVP25(PresetConfig(query="actions"))),
+        ("openvla", FastVP25(PresetConfig(k=31))),
+        ("oft", FastVP25(PresetConfig(k=31))),
+    ],
+)
+def test_a_preset_that_does_not_fit_is_refused_and_the_former_one_stays(tinies, family, unfit):
+    observation = make_observation(SPECS[family])
+    backend = _backend(tinies, family, FastVP50())
+    before = backend.predict(observation)
+    with pytest.raises(ConfigurationError):
+        _runtime(backend).set_acceleration(unfit)
+    after = backend.predict(observation)
+    assert after.metrics["tokens_kept"] == before.metrics["tokens_kept"]
+    assert np.array_equal(after.actions, before.actions)
 
 
 def _registry(*more) -> Registry:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from rn_backend_pi0.case import ROW_TOLERANCE
 from rn_backend_pi0.options import Pi0Options, Pi0RemoteOptions
 from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.profiles import PROFILES
@@ -29,7 +30,7 @@ class TestNative(BackendContract):
     @pytest.fixture
     def plugin(self, tiny_checkpoint: Path, observe: Callable[..., Observation]) -> BackendCase:
         options = {"checkpoint": str(tiny_checkpoint), "device": "cpu", "cpu_threads": 1}
-        return BackendCase(spec=SPECS["pi0"], options=options, observe=observe)
+        return BackendCase(spec=SPECS["pi0"], options=options, observe=observe, row_tolerance=ROW_TOLERANCE)
 
 
 class TestRemote(BackendContract):

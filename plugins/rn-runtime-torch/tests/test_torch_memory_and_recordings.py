@@ -17,8 +17,10 @@ from rn_runtime_torch.device import Needs, check_fits
 from rn_runtime_torch.engine import Engine
 from rn_runtime_torch.graph import GraphCache
 from rn_runtime_torch.memory import PeakBytes
+from rn_runtime_torch.runtime import TorchRuntime
 from rn_runtime_torch.toy import EveryOtherToken
-from roboneuron.errors import ConfigurationError
+from roboneuron import AccelerationChanger
+from roboneuron.errors import ConfigurationError, PluginError, StateError
 
 CPU = TorchRuntimeConfig(device="cpu", dtype="float32")
 
@@ -158,6 +160,70 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
         assert len(asked) == 6  # between tokens: an unrecorded request can be given up
         assert reply.tokens.tolist() == plain.answer(request, lambda: None).tokens.tolist()
     assert len(engine._graphs) == 3
+
+
+class EqualSelection(EveryOtherToken):
+    """Equal to every other one of its kind."""
+
+    def __eq__(self, other):
+        return type(other) is EqualSelection
+
+    def __hash__(self):
+        return 1
+
+
+def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypatch):
+    """Recordings are fakes that compute nothing when replayed, so a wrong one would give another request's tokens."""
+    plain, pruned = (Engine(toy.model(), CPU, preset) for preset in (None, EqualSelection()))
+    engine = Engine(toy.model(), CPU, EqualSelection())
+    monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
+    engine._graphs = GraphCache(torch.device("cpu"))
+    engine._recording = True
+    request = toy.token_request(9)
+    engine.answer(request, lambda: None)
+    engine._recording = False
+    for preset, alone, recorded in ((None, plain, 0.0), (EqualSelection(), pruned, 1.0), (None, plain, 0.0)):
+        engine.set_acceleration(preset)
+        reply, expected = engine.answer(request, lambda: None), alone.answer(request, lambda: None)
+        assert reply.metrics["recorded"] == recorded
+        assert reply.metrics["tokens_kept"] == expected.metrics["tokens_kept"]
+        assert reply.logits.tolist() == expected.logits.tolist()
+    assert len(engine._graphs) == 1
+
+
+class KeepsNoWord(EveryOtherToken):
+    """Drops the last position, which is a word."""
+
+    def select(self, view):
+        return super().select(view)[:-1]
+
+
+def test_a_selection_that_drops_words_is_refused_before_any_request(toy):
+    engine = Engine(toy.model(), CPU, None)
+    before = engine.answer(toy.token_request(), lambda: None)
+    with pytest.raises(PluginError, match="every one that holds no image patch"):
+        engine.set_acceleration(KeepsNoWord())
+    assert engine.answer(toy.token_request(), lambda: None).logits.tolist() == before.logits.tolist()
+
+
+def test_compiled_layers_keep_their_preset(toy, monkeypatch):
+    monkeypatch.setattr("rn_runtime_torch.engine._compile", lambda decoder: None)
+    engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype="float32", compile=True), EveryOtherToken())
+    before = engine._decoder.selection
+    with pytest.raises(ConfigurationError, match="compile"):
+        engine.set_acceleration(None)
+    assert engine._decoder.selection is before is not None
+
+
+def test_there_is_nothing_to_accelerate_before_load_and_after_close(toy):
+    runtime = TorchRuntime(CPU)
+    with pytest.raises(StateError):
+        runtime.set_acceleration(None)
+    runtime.load(toy.model())
+    assert isinstance(runtime, AccelerationChanger)
+    runtime.close()
+    with pytest.raises(StateError):
+        runtime.set_acceleration(None)
 
 
 def test_the_fake_selection_makes_its_positions_on_the_device(toy):

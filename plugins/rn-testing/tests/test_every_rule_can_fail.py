@@ -110,6 +110,21 @@ def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
     assert outcome.detail
 
 
+@pytest.mark.parametrize(
+    ("declared", "rule"),
+    [
+        ("conditions_on_rows", "rows-kept"),
+        ("conditions_on_rows", "ahead-optional"),
+        ("takes_predicted_state", "predicted-state-used"),
+    ],
+)
+def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, rule):
+    spec = replace(fakes.FAKE_BACKEND, target="mutants_backend:ContinuingBackend", **{declared: True})
+    case = BackendCase(spec=spec, row_tolerance=1e-6)
+    outcome = verify(next(found for found in RULES["backend"] if found.id == f"backend/{rule}"), case)
+    assert outcome.verdict is Verdict.PASSED, outcome
+
+
 def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it():
     rules = {rule.id for kind, rules in RULES.items() if kind in GOOD for rule in rules}
     assert {mutant.rule for mutant in MUTANTS.values()} == rules

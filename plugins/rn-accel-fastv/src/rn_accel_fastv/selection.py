@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -11,26 +12,26 @@ from rn_vla.pruning import AttentionView
 from roboneuron import ConfigurationError
 
 
+@dataclass(frozen=True, slots=True)
 class AttendedTokens:
     """Keeps the visual tokens with the highest attention from one row, averaged over heads; all others as they are.
 
     Kept positions stay in order and keep their rotary positions. Only the rows that count are computed, with a softmax
     in float32, so that attention itself can stay fused.
+
+    Attributes:
+        layer: see `TokenSelection`.
+        share: of the visual tokens, to be dropped.
+        query: the rows that count.
     """
 
-    def __init__(self, layer: int, share: float, query: Literal["last", "actions"]) -> None:
-        self._layer = layer
-        self._share = share
-        self._query = query
-
-    @property
-    def layer(self) -> int:
-        """See `TokenSelection`."""
-        return self._layer
+    layer: int
+    share: float
+    query: Literal["last", "actions"]
 
     def kept(self, visual_count: int) -> int:
         """How many of so many visual tokens stay."""
-        return round(visual_count * (1.0 - self._share))
+        return round(visual_count * (1.0 - self.share))
 
     def select(self, view: AttentionView) -> Tensor | None:
         """See `TokenSelection`."""
@@ -46,7 +47,7 @@ class AttendedTokens:
     def _attention(self, view: AttentionView) -> Tensor:
         """Mean attention (positions,) of the rows that count; the last row sees everything, causal or not."""
         count = view.query.shape[2]
-        if self._query == "last":
+        if self.query == "last":
             first, end = count - 1, count
         elif view.rows is not None and not view.causal:
             first, end = view.rows

@@ -14,7 +14,7 @@ from rn_runtime_torch.int8 import Int8Weight
 from rn_runtime_torch.scratch import Scratch
 from rn_vla.decoding import DecoderShape
 from rn_vla.pruning import AttentionView, TokenSelection
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, PluginError
 
 MATRICES = ("qkv", "out", "gate_up", "down")
 """Parameters of a layer that rows are multiplied with."""
@@ -106,7 +106,9 @@ def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
 class Decoder(nn.Module):
     """The whole language model; batch 1.
 
-    `visual_kept` after a pass is the number of visual positions that reached the last layer.
+    Attributes:
+        visual_kept: after a pass, the number of visual positions that reached the last layer.
+        selection: which visual positions go on; None for all.
     """
 
     cos: Tensor
@@ -118,7 +120,7 @@ class Decoder(nn.Module):
         self.visual_tokens = visual_tokens
         self.visual_kept = visual_tokens
         self.scratch = Scratch()
-        self._selection: TokenSelection | None = None
+        self.selection: TokenSelection | None = None
         self.embedding = nn.Parameter(torch.empty(shape.vocabulary, shape.hidden))
         self.layers = nn.ModuleList(DecoderLayer(shape) for _ in range(shape.layers))
         self.norm = nn.Parameter(torch.empty(shape.hidden))
@@ -141,7 +143,36 @@ class Decoder(nn.Module):
                 f"{self.shape.layers} layers.",
                 hint=f"Choose k between 1 and {self.shape.layers - 1}.",
             )
-        self._selection = selection
+        self.selection = selection
+
+    def try_selection(self, positions: int, *, causal: bool, rows: tuple[int, int] | None = None) -> None:
+        """Ask the selection once, about attention to nothing in particular in a sequence of so many positions.
+
+        Raises:
+            PluginError: its answer cannot be used.
+            RoboNeuronError: what the selection itself says.
+        """
+        if self.selection is None:
+            return
+        shape = self.shape
+        key = self.cos.new_zeros(1, shape.key_value_heads, positions, shape.head_width)
+        view = AttentionView(
+            query=self.cos.new_zeros(1, shape.heads, positions, shape.head_width),
+            key=key,
+            visual_start=1,
+            visual_count=self.visual_tokens,
+            rows=rows,
+            causal=causal,
+        )
+        kept = self.selection.select(view)
+        if kept is None:
+            return
+        told, words = kept.tolist(), {0, *range(1 + self.visual_tokens, positions)}
+        if told != sorted(set(told)) or not words <= set(told) <= set(range(positions)):
+            raise PluginError(
+                f"{type(self.selection).__name__} kept {len(told)} of {positions} positions, expected ascending ones "
+                "and every one that holds no image patch."
+            )
 
     def quantize(self) -> None:
         """Decode with int8 copies of the layers' matrices from now on; prompts still use the matrices themselves."""
@@ -180,8 +211,8 @@ class Decoder(nn.Module):
         view: AttentionView | None = None
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
-            if self._selection is not None and index == self._selection.layer and view is not None:
-                keep = self._selection.select(view)
+            if self.selection is not None and index == self.selection.layer and view is not None:
+                keep = self.selection.select(view)
                 if keep is not None:
                     hidden, cos, sin = hidden[:, keep], cos[keep], sin[keep]
             query, key, value = layer.project(hidden, cos, sin, scratch)
@@ -189,7 +220,7 @@ class Decoder(nn.Module):
                 key, value = cache.start(index, key, value)
             elif value.device.type == "cpu":
                 value = scratch.empty("value", value, *value.shape).copy_(value)  # contiguous, as in `project`
-            if self._selection is not None and index + 1 == self._selection.layer:
+            if self.selection is not None and index + 1 == self.selection.layer:
                 view = AttentionView(
                     query=query, key=key, visual_start=1, visual_count=self.visual_tokens, rows=rows, causal=causal
                 )

@@ -33,6 +33,8 @@ from rn_vla.decoding import (
 from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Kind = tuple[str | int, ...]
+_TRIAL_TOKENS = 8
+"""Prompt of the sequence that a new selection is tried with: words stand before and behind the image."""
 Check = Callable[[], None]
 """Raises when nobody wants the answer any more."""
 
@@ -57,6 +59,7 @@ class Engine:
         if config.threads is not None:
             torch.set_num_threads(config.threads)
         self._model = model
+        self._is_compiled = config.compile
         self._device = choose_device(config)
         self._dtype = choose_dtype(config, self._device)
         check_shards(model.shards)
@@ -147,6 +150,43 @@ class Engine:
         first = min(first, last)
         return range(first, (first if self._graphs is None else last) + 1)
 
+    def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
+        """Answer later requests with another preset; weights, cache and recordings stay where they are.
+
+        On CUDA nothing is recorded here, since the robot may be moving: shapes that were recorded during load are
+        replayed whenever their preset is in force again, and requests under another one run unrecorded.
+
+        Raises:
+            ConfigurationError: the preset does not fit this model, or layers are compiled for shapes of their own.
+            PluginError: the preset keeps positions that it must not, or leaves out others.
+        """
+        if self._is_compiled:
+            raise ConfigurationError(
+                "Compiled layers would be compiled again for each preset, which takes longer than the robot can wait.",
+                hint='Leave out compile = true, or switch with mode = "cold".',
+            )
+        decoder = self._decoder
+        before, decoder.selection = decoder.selection, None
+        try:
+            with _memory_errors(self._device), torch.inference_mode():
+                if acceleration is not None:
+                    acceleration.apply(decoder)
+                self._try_selection()
+        except BaseException:
+            decoder.selection = before
+            raise
+
+    def _try_selection(self) -> None:
+        """Let the selection answer once, so that one which does not fit is refused here and not by the next request."""
+        model = self._model
+        request = model.example(min(_TRIAL_TOKENS, model.max_prompt_tokens - self._added_tokens()))
+        count = model.visual_tokens + model.extra_tokens + int(request.prompt.ids.size)
+        if isinstance(request, TokenRequest):
+            self._decoder.try_selection(count, causal=True)
+        else:
+            end = count - request.tail
+            self._decoder.try_selection(count, causal=False, rows=(end - request.rows, end))
+
     def answer(self, request: Request, check: Check) -> Reply:
         """Run one request; `check` is called between steps where there are any.
 
@@ -171,6 +211,8 @@ class Engine:
             if not bool(outputs["finite"]):
                 raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
             metrics = {"tokens_kept": float(kept)}
+            if self._graphs is not None:
+                metrics["recorded"] = float(self._graphs.was_replayed)
             if isinstance(request, TokenRequest):
                 logits = outputs["logits"].cpu().numpy() if request.with_logits else None
                 return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics)
@@ -233,7 +275,11 @@ class Engine:
 
     def _execute(self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
         if self._graphs is not None:
-            key = (kind, tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())))
+            key = (
+                self._decoder.selection,
+                kind,
+                tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())),
+            )
             if self._recording:
                 self._graphs.record(key, compute, inputs, lambda: self._decoder.visual_kept)
             found = self._graphs.run(key, inputs)

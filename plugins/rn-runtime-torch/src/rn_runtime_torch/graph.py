@@ -26,10 +26,14 @@ class GraphCache:
     """Recorded computations by key; they share one memory pool and one stream, so libraries' workspaces exist once.
 
     Nothing is recorded by `run`: recording takes as long as several requests, and the robot may be moving.
+
+    Attributes:
+        was_replayed: whether the last `run` found a recording.
     """
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
+        self.was_replayed = False
         self._recorded: dict[Hashable, _Recorded] = {}
         self._pool = torch.cuda.graph_pool_handle()
         self._side: torch.cuda.Stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
@@ -56,6 +60,7 @@ class GraphCache:
             Outputs, valid until the next call, and the note.
         """
         found = self._recorded.get(key)
+        self.was_replayed = found is not None
         if found is None:
             return None
         for name, tensor in inputs.items():

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import FAMILIES
-from rn_vla.decoding import LlamaAcceleration, LlamaRuntime, PolicyModel, Reply, Request, RowsRequest, TokenRequest
+from rn_vla.decoding import (
+    LlamaAcceleration,
+    LlamaAccelerationChanger,
+    LlamaRuntime,
+    PolicyModel,
+    Reply,
+    Request,
+    RowsRequest,
+    TokenRequest,
+)
 from roboneuron import InvalidInputError, NotReadyError, StateError
 
 if TYPE_CHECKING:
@@ -39,6 +48,16 @@ class TorchRuntime:
         from rn_runtime_torch.engine import Engine  # heavy: torch
 
         self._engine = Engine(model, self._config, acceleration)
+
+    def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
+        """Change the preset, or install none; on the thread that calls `run`.
+
+        Raises:
+            ConfigurationError, PluginError: why it does not fit; the former one stays in force.
+        """
+        if self._engine is None:
+            raise StateError("Runtime 'torch' holds no model; load one first.")
+        self._engine.set_acceleration(acceleration)
 
     def run(self, request: Request) -> Reply:
         """Answer one request.
@@ -82,3 +101,4 @@ class TorchRuntime:
 
 if TYPE_CHECKING:
     _: type[LlamaRuntime] = TorchRuntime
+    _changer: type[LlamaAccelerationChanger] = TorchRuntime

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from rn_switching.in_place import AccelerationSwitch, differs_in_acceleration_only
 from rn_switching.standby import HANDOVER
 from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
-from roboneuron.modules.settings import ModuleKind
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop, ignore_stage
 from roboneuron.server.module_kinds import KINDS, StartInference, StartPerception
 from roboneuron.server.selection import Selection, running_selection
@@ -19,6 +21,9 @@ from roboneuron.supervisor.health import ModuleView, Report
 from roboneuron.supervisor.launching import Stage
 
 SwitchMode = Literal["warm", "cold"]
+"""What a caller asks for."""
+SwitchWay = Literal["warm", "cold", "in place"]
+"""How it was done: a change that needs no other process is made in the running one, unless "cold" was asked for."""
 _FIRST_S = 3.0
 """A newcomer hears of the next input within this time, on a busy machine too."""
 
@@ -36,7 +41,7 @@ class Switched:
 
     view: ModuleView
     replaced: dict[str, str]
-    mode: SwitchMode
+    mode: SwitchWay
     change: Change
     took_s: float
 
@@ -52,6 +57,7 @@ class Switching:
         self._supervisor = loop.supervisor
         self._supervisor.handover = HANDOVER
         self._before: dict[ModuleKind, Selection] = {}
+        self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
 
     def switch(
         self,
@@ -97,20 +103,31 @@ class Switching:
 
     def _replace(self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage) -> Switched:
         started_s = time.monotonic()
-        replaced = running_selection(old)
-        check = CHECKS[old.kind](self.loop, selection)
-        if mode == "warm":
-            change = WarmSwitch(self._supervisor, selection, check, on_stage).run()
-        else:
-            change = self._cold(replaced, selection, check, on_stage)
-        self._before[old.kind] = replaced
+        if not self._busy[old.kind].acquire(blocking=False):
+            raise StateError(f"{old.kind} is already being replaced.", hint="Wait for the end of that call.")
+        try:
+            replaced = running_selection(old)
+            way, change = self._change(old, replaced, selection, mode, on_stage)
+            self._before[old.kind] = replaced
+        finally:
+            self._busy[old.kind].release()
         return Switched(
             view=self._supervisor.view(old.kind),
             replaced=dict(replaced.names),
-            mode=mode,
+            mode=way,
             change=change,
             took_s=time.monotonic() - started_s,
         )
+
+    def _change(
+        self, old: ModuleView, replaced: Selection, selection: Selection, mode: SwitchMode, on_stage: Stage
+    ) -> tuple[SwitchWay, Change]:
+        if mode == "warm" and differs_in_acceleration_only(old, selection):
+            return "in place", AccelerationSwitch(self.loop, selection, on_stage).run()
+        check = CHECKS[old.kind](self.loop, selection)
+        if mode == "warm":
+            return mode, WarmSwitch(self._supervisor, selection, check, on_stage).run()
+        return mode, self._cold(replaced, selection, check, on_stage)
 
     def _cold(self, replaced: Selection, selection: Selection, check: SwitchCheck, on_stage: Stage) -> Change:
         """Stop the old one, then start the new one: for a machine, or a device, that has no room for two."""

@@ -70,7 +70,9 @@ class SwitchResult(ModuleSummary):
     """The new module runs and has proved that it works."""
 
     replaced: dict[str, str] = Field(description="what ran before")
-    mode: Literal["warm", "cold"]
+    mode: Literal["warm", "cold", "in place"] = Field(
+        description="how it was done; in place: the running process went on with another acceleration"
+    )
     gap_s: float | None = Field(
         default=None,
         description="from the last output of the old one to the first of the new one, by the times at which they were "
@@ -101,7 +103,8 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
         description="Replace the running backend by another one on the same topics. Warm, the new one is loaded and "
         "tried in shadow while the old one works, then takes over between two actions; if it fails, or wants "
         "something wildly different, the old one goes on and the error says why. Cold, the arm holds meanwhile "
-        "and a failure leaves no backend. The instruction is kept unless a new one is given.",
+        "and a failure leaves no backend. Where only the acceleration differs and the runtime can change it, the "
+        "running process takes it between two predictions. The instruction is kept unless a new one is given.",
     ),
     "perception": _Text(
         arguments=SwitchPerception,

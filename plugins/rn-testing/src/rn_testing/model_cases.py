@@ -21,6 +21,8 @@ class BackendCase(Case[BackendSpec]):
             descriptor declares before use.
         runtime, acceleration: make what the backend is to be built with; None for without.
         predict_limit_s: how long the quickest of three predictions may take [s].
+        row_tolerance: how far a backend that declares `conditions_on_rows` may leave the committed rows [m, rad,
+            opening]; less than without conditioning. Required of such a backend.
     """
 
     subject: ClassVar[str] = "backend"
@@ -29,6 +31,7 @@ class BackendCase(Case[BackendSpec]):
     runtime: Callable[[], AnyRuntime] | None = None
     acceleration: Callable[[], AnyAcceleration] | None = None
     predict_limit_s: float = 1.0
+    row_tolerance: float | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the inference module calls it."""

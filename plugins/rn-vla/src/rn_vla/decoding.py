@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_vla.pruning import PrunableDecoder
-from roboneuron import Acceleration, Runtime
+from roboneuron import Acceleration, AccelerationChanger, Runtime
 from roboneuron.contract.arrays import freeze
 
 F32 = NDArray[np.float32]
@@ -216,3 +216,5 @@ RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecode
 """One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built with."""
 LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
 """An acceleration of Llama-shaped decoders."""
+LlamaAccelerationChanger: TypeAlias = AccelerationChanger[PrunableDecoder]
+"""A runtime of Llama-shaped decoders whose acceleration changes while the model stays loaded."""

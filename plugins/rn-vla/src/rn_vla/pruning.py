@@ -30,7 +30,10 @@ class AttentionView:
 
 
 class TokenSelection(Protocol):
-    """Chooses which positions go on. Shapes of what it returns must follow from shapes alone (CUDA graphs)."""
+    """Chooses which positions go on. Shapes of what it returns must follow from shapes alone (CUDA graphs).
+
+    Hashable; equal ones choose alike, so that recordings of one serve the other.
+    """
 
     @property
     def layer(self) -> int:

@@ -134,6 +134,26 @@ class Acceleration(Protocol[Accelerated]):
         ...
 
 
+@runtime_checkable
+class AccelerationChanger(Protocol[Decoder]):
+    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
+
+    Core asks with `isinstance`. A backend that executes its model itself may offer it likewise.
+    """
+
+    def set_acceleration(self, acceleration: Acceleration[Decoder] | None) -> None:
+        """Execute every later `run` with this preset, or with none.
+
+        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds, holds
+        no more memory afterwards, and answers are then those of a model that was loaded with the preset.
+
+        Raises:
+            RoboNeuronError: why it cannot be; the preset that was in force stays so.
+            StateError: before `load` or after `close`.
+        """
+        ...
+
+
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
 """A runtime of a family that is not known here: it can be handed on, aborted and closed, but not used."""
 AnyAcceleration: TypeAlias = Acceleration[Never]

@@ -17,6 +17,7 @@ from std_msgs.msg import Float64MultiArray
 
 from roboneuron.contract import ACTION_SIZE, ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
 from roboneuron.errors import ConfigurationError, NotReadyError
+from roboneuron.modules.acceleration import AccelerationInForce
 from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction, Row, check_mode
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
@@ -86,7 +87,12 @@ class InferenceModule(Module):
         self.status.set_value("load_s", time.monotonic() - started_s)
         self.status.set_value("backend", spec.name)
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
-        self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self._acceleration = AccelerationInForce(
+            node,
+            plan.acceleration.name if plan.acceleration else "",
+            (self._backend, self._runtime),
+            lambda name: build(registry.get("acceleration", name), self.config.options(name)),
+        )
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -160,6 +166,7 @@ class InferenceModule(Module):
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""
+        self._acceleration.change_if_asked()
         if self.node.stopped:
             stop.wait(_WAIT_S)
             return

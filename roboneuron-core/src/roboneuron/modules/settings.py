@@ -50,6 +50,8 @@ class ModuleSettings(BaseModel):
 
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
+ACCELERATION_PARAMETER = "acceleration"
+"""Likewise the acceleration, where what executes the model can change it."""
 FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"

@@ -12,6 +12,7 @@ from rn_testing.effects import check_quick, expect_refusal
 from rn_testing.fakes import gradient_image
 from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, require
+from rn_testing.rules.continuing import ContinuingRules
 from rn_testing.snapshots import snapshot
 from roboneuron.contract import ActionChunk, Backend, Frame, Observation
 from roboneuron.contract.image import U8
@@ -333,5 +334,6 @@ RULES: tuple[Rule[BackendCase], ...] = (
         "roboneuron.plugins.specs.BackendSpec",
         _check_optional,
     ),
+    *ContinuingRules(_loaded, _predict, _rule).rules(),
 )
 """Rules of backends."""
