@@ -7,7 +7,7 @@ from pathlib import Path
 from time import time_ns
 from typing import Any
 
-from roboneuron.config.limits import LimitsConfig
+from roboneuron.config import LimitsConfig
 from roboneuron.contract import Controller, Hold, JointCommand, JointSample, Posture, PostureInspector, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord

@@ -50,6 +50,8 @@ class ModuleSettings(BaseModel):
 
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
+RECOVER_PARAMETER = "recover"
+"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""
 FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
