@@ -48,6 +48,14 @@ def test_a_target_beyond_the_limits_is_moved_inside_them() -> None:
     assert (MARGIN_RAD < 0.03).all()
 
 
+def test_a_long_duration_makes_the_motion_slow() -> None:
+    home = np.array(HOME_RAD)
+    course = plan(home, home + 0.2, 4.0, 0.5)
+    slowest = course.velocity_factor * VELOCITY_LIMIT_RAD_S.min()
+    assert 0.2 / 4.0 <= slowest <= 0.2 / 3.0
+    assert course.duration_s == pytest.approx(4.0, rel=0.05)
+
+
 def test_far_from_the_limits_the_whole_share_is_used_and_the_estimate_grows_with_the_way() -> None:
     home = np.array(HOME_RAD)
     near, far = (plan(home, home + step, 0.01, 0.5) for step in (0.1, 0.4))

@@ -143,15 +143,11 @@ class FciArm:
         """Whether the control loop runs."""
         return bool(self._robot.is_in_control)
 
-    def go(self, plan: Plan, duration_s: float) -> None:
-        """Go to the plan's target, at the earliest after `duration_s`; replaces what it was doing, without a jump."""
+    def go(self, plan: Plan) -> None:
+        """Go to the plan's target; replaces what it was doing, without a jump."""
         client, factor = self._client, self._options.dynamics_factor
         dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor, factor)
-        waypoint = client.JointWaypoint(
-            client.JointState(plan.target),
-            relative_dynamics_factor=dynamics,
-            minimum_time=client.Duration(max(1, round(duration_s * 1e3))),
-        )
+        waypoint = client.JointWaypoint(client.JointState(plan.target), relative_dynamics_factor=dynamics)
         self._move(client.JointWaypointMotion([waypoint], return_when_finished=False))
 
     def stop(self) -> None:

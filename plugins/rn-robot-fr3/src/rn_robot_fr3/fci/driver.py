@@ -140,7 +140,7 @@ class FciDriver:
                 target = np.array([values.get(n, q) for n, q in zip(ARM_JOINTS, measured.position, strict=True)])
                 course = plan(measured.position, target, command.duration_s, self._options.dynamics_factor)
                 try:
-                    arm.go(course, command.duration_s)
+                    arm.go(course)
                 except Exception as error:
                     self._fail(faults.from_exception(error))
                     raise faults.from_exception(error).error() from error

@@ -106,6 +106,12 @@ def from_mode(mode: str, errors: Iterable[str]) -> Fault | None:
 def from_exception(error: Exception) -> Fault:
     """The fault that an exception of the client library means during operation."""
     kind, text = type(error).__name__, str(error).split("\n")[0]
+    if "planner failed" in text:
+        return Fault(
+            code="planner_failed",
+            message=f"the client library found no motion to the target, and the robot stopped ({text}).",
+            hint=f"Lower dynamics_factor if it happens again; {_RECOVER}.",
+        )
     if kind == "NetworkException":
         return Fault(
             code="communication_lost",
