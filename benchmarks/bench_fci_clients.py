@@ -120,7 +120,10 @@ def one(name: str, paused: bool) -> None:
         while (at_s := time.monotonic() - began_s) < SECONDS:
             aim(np.array(start) + 0.25 * np.sin(2.2 * at_s) * np.array([1, -1, 1, 1, 1, 1, 1]))
             time.sleep(PERIOD_S)
-            rates.append(float(state().control_command_success_rate))
+            seen = state()
+            rates.append(float(seen.control_command_success_rate))
+            if "reflex" in str(seen.robot_mode).lower():
+                raise RuntimeError(f"the robot is in reflex: {seen.last_motion_errors}")
     except Exception as error:
         verdict = f"aborted after {time.monotonic() - began_s:.1f} s: {str(error).splitlines()[0][-90:]}"
     passed_s = time.monotonic() - began_s
