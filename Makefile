@@ -25,13 +25,30 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-bases test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help demo demo-fr3 demo-bases test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 demo: $(VENV)/.demo ## an agent picks up a cube with a simulated FR3
 	@$(BIN)/roboneuron demo $(ARGS)
+
+demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim/.ready ## the same with the driver of the real arm, against franka-sim (its own environment)
+	@$(BIN)/python examples/demo_fr3.py $(ARGS)
+
+test-fr3: $(VENV)/.develop .venv-fr3sim/.ready ## the driver of the real arm against franka-sim
+	$(BIN)/python -m pytest plugins/rn-robot-fr3/tests/test_fci_driver_moves_franka_sim.py $(ARGS)
+
+bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
+	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
+
+.venv-fr3sim: .venv-fr3sim/.ready
+
+.venv-fr3sim/.ready:
+	@echo "Setting up .venv-fr3sim (once, about a minute) ..."
+	$(PYTHON) -m venv .venv-fr3sim
+	.venv-fr3sim/bin/python -m pip install --quiet --disable-pip-version-check franka-sim==1.1.7 numpy==1.26.4
+	@touch $@
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
@@ -112,6 +129,10 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 	  $(addprefix --editable ,$(DEMO_PACKAGES)))
 	@touch $@
 
+$(VENV)/.demo-fr3: $(VENV)/.demo
+	$(call install,client of the FCI,--constraint constraints.txt franky-control)
+	@touch $@
+
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
@@ -131,5 +152,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers mujoco)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-bases
+	  ros-jazzy-test-msgs transformers mujoco franky-control)
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-bases

@@ -18,7 +18,7 @@ from roboneuron.contract.profile import (
 )
 from roboneuron.contract.protocols import (
     Acceleration, AccelerationChanger, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource,
-    PostureInspector, RobotDriver, Runtime, Topics,
+    PostureInspector, RecoverableDriver, RobotDriver, Runtime, Topics,
 )
 
 __all__ = [
@@ -26,6 +26,6 @@ __all__ = [
     "ActionChunk", "Ahead", "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile",
     "CollisionProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits",
     "JointSample", "Observation", "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity",
-    "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
+    "RecoverableDriver", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
     "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
 ]

@@ -242,3 +242,17 @@ class RobotDriver(Protocol):
     def close(self) -> None:
         """Stop and disconnect; may be called twice and before `open`."""
         ...
+
+
+@runtime_checkable
+class RecoverableDriver(Protocol):
+    """What a driver may offer beside `RobotDriver`: to clear a fault that has stopped the robot."""
+
+    def recover(self) -> str:
+        """Clear the fault because a person said so; nothing moves. Returns what was cleared.
+
+        Raises:
+            StateError: there is no fault.
+            RefusedError: its cause still stands; the message says what to do.
+        """
+        ...

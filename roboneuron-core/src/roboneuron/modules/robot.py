@@ -9,10 +9,11 @@ from typing import Any, cast
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import JointCommand, RobotDriver
+from roboneuron.contract import JointCommand, RecoverableDriver, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.recovery import Recovery
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
@@ -54,6 +55,8 @@ class RobotModule(Module):
         self._driver = cast("RobotDriver", build(spec, options, profile, self._topics))
         node.resources.callback(self._driver.close)
         self._driver.open()
+        if isinstance(self._driver, RecoverableDriver):
+            Recovery(node, self._driver)
         self._states = node.advertise(JointState, JOINT_STATES)
         node.subscribe(JointTrajectory, JOINT_TRAJECTORY, self._on_command)
         node.subscribe(JointState, JOINT_COMMAND, self._on_command)

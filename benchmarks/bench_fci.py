@@ -1,0 +1,247 @@
+"""The driver `fci` against franka-sim with both enforcement flags: accuracy, stopping, latency, load, lost processes.
+
+    make bench-fci ARGS="--targets 500 --stops 100 --stream-s 1800"
+
+Everything is judged by the simulator's own joints. Distances and times are those of this machine; see docs/fr3.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio
+
+from rn_robot_fr3.description import TCP_LINK, urdf
+from rn_robot_fr3.fci.driver import FciDriver
+from rn_robot_fr3.fci.options import FciDriverOptions
+from rn_robot_fr3.fci.planner import ACCELERATION_LIMIT_RAD_S2, JERK_LIMIT_RAD_S3
+from rn_robot_fr3.fci.simulator import FrankaSim
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_testing.fakes import MemoryTopics
+from roboneuron import JointCommand
+
+HOME = np.array(HOME_RAD)
+STRICT = ("--enforce-motion-limits", "--enforce-comm-constraints")
+PYTHON = Path(".venv-fr3sim/bin/python")
+MODEL = pinocchio.buildModelFromXML(urdf())
+DATA = MODEL.createData()
+TCP = MODEL.getFrameId(TCP_LINK)
+
+
+def tcp(joints: Any) -> Any:
+    """Pose of the TCP for seven joints, fingers closed."""
+    pinocchio.framesForwardKinematics(MODEL, DATA, np.append(joints, [0.0, 0.0]))
+    return DATA.oMf[TCP].copy()
+
+
+def open_driver(factor: float = 0.5) -> FciDriver:
+    """A driver that is connected."""
+    options = FciDriverOptions(
+        host="127.0.0.1", realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0
+    )
+    driver = FciDriver(options, profile(), MemoryTopics())
+    driver.open()
+    return driver
+
+
+def go(driver: FciDriver, target: Any, duration_s: float = 0.1) -> JointCommand:
+    """Send and keep the watchdog quiet."""
+    if fault := driver.read().detail["fault"]:
+        print(f"    fault: {fault}", flush=True)
+        driver.recover()
+    return driver.send(JointCommand(names=ARM_JOINTS, position=target, duration_s=duration_s))
+
+
+def joints(sim: FrankaSim) -> Any:
+    """The simulator's joints."""
+    return np.array(sim.tell()["joints"][:7])
+
+
+def speeds(sim: FrankaSim) -> Any:
+    """The simulator's joint velocities."""
+    return np.abs(sim.tell()["velocities"])
+
+
+def wait(driver: FciDriver | None, check: Callable[[], bool], limit_s: float = 20.0) -> float:
+    """Seconds until it holds."""
+    began_s = time.monotonic()
+    while not check():
+        if time.monotonic() - began_s > limit_s:
+            raise SystemExit(f"not within {limit_s} s: {driver.read().detail if driver else ''}")
+        if driver is not None:
+            driver.read()
+        time.sleep(0.001)
+    return time.monotonic() - began_s
+
+
+def settle(driver: FciDriver, sim: FrankaSim, target: Any) -> None:
+    """Until it stands at the target."""
+    wait(driver, lambda: bool(np.abs(joints(sim) - target).max() < 5e-3 and speeds(sim).max() < 1e-3))
+
+
+def accuracy(driver: FciDriver, sim: FrankaSim, count: int) -> None:
+    """Final error of random targets within 5 cm of the last."""
+    random, target, errors = np.random.default_rng(1), HOME, []
+    for _ in range(count):
+        while True:
+            next_target = HOME + random.uniform(-0.2, 0.2, 7)
+            if np.linalg.norm(tcp(next_target).translation - tcp(target).translation) < 0.05:
+                break
+        target = next_target
+        sent = go(driver, target, 0.1)
+        time.sleep(min(sent.duration_s, 0.4))
+        settle(driver, sim, target)
+        time.sleep(0.15)
+        off = tcp(joints(sim)).actInv(tcp(target))
+        errors.append((np.linalg.norm(off.translation) * 1e3, np.linalg.norm(pinocchio.log3(off.rotation)) * 1e3))
+    median, worst = np.median(errors, axis=0), np.max(errors, axis=0)
+    print(
+        f"| {count} random targets within 5 cm: final TCP error | median {median[0]:.4f} mm, {median[1]:.4f} mrad; "
+        f"worst {worst[0]:.4f} mm, {worst[1]:.4f} mrad |",
+        flush=True,
+    )
+
+
+def stops(driver: FciDriver, sim: FrankaSim, count: int) -> None:
+    """Way and time from hold() to rest beside what 10 rad/s2 allows from the speed at that moment."""
+    random, ways, times, within = np.random.default_rng(2), [], [], 0
+    side = 1.0
+    for _ in range(count):
+        target = HOME + side * random.uniform(0.4, 0.8) * np.array([1, 0.4, 0.6, 0.4, 1, 0.6, 1])
+        side = -side
+        go(driver, target, 0.2)
+        time.sleep(random.uniform(0.15, 0.6))
+        before = sim.tell()
+        driver.hold()
+        took_s = wait(driver, lambda: bool(speeds(sim).max() < 2e-3))
+        speed = np.abs(before["velocities"])
+        way = np.abs(joints(sim) - np.array(before["joints"][:7]))
+        # braking at 10 rad/s2, plus the ramp of the jerk, plus 10 ms from the reading to the robot and back
+        allowed = speed**2 / 20.0 + speed * (0.010 + 10.0 / JERK_LIMIT_RAD_S3)
+        planned = speed**2 / (2 * ACCELERATION_LIMIT_RAD_S2) + speed * (0.010 + 10.0 / JERK_LIMIT_RAD_S3)
+        within += bool((way <= allowed + 2e-3).all())
+        ways.append(float((way - planned).max()))
+        times.append((took_s, float(speed.max())))
+    slowest, fastest = max(times)[0], max(speed for _, speed in times)
+    print(
+        f"| {count} times hold() at up to {fastest:.2f} rad/s: within what 10 rad/s2 allows (+10 ms) | {within} of "
+        f"{count}; at rest after {np.median([t for t, _ in times]) * 1e3:.0f} ms, worst {slowest * 1e3:.0f} ms |",
+        flush=True,
+    )
+
+
+def latency(driver: FciDriver, sim: FrankaSim, count: int) -> None:
+    """From send() to the first motion of the simulated joints, the control loop not running before."""
+    found, sign = [], 1.0
+    for _ in range(count):
+        wait(driver, lambda: driver.read().detail["mode"] == "Idle")
+        sign = -sign
+        began_s = time.monotonic()
+        go(driver, HOME + 0.1 * sign, 0.1)
+        while speeds(sim).max() < 2e-4:
+            pass
+        found.append((time.monotonic() - began_s) * 1e3)
+        time.sleep(1.2)
+        driver.read()
+        time.sleep(0.4)
+    print(
+        f"| {count} times send() -> first motion, loop idle before | median {np.median(found):.1f} ms, "
+        f"worst {max(found):.1f} ms |",
+        flush=True,
+    )
+
+
+def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None:
+    """Targets at 20 Hz; every fault counts."""
+    random, began_s, rates, faults, at = np.random.default_rng(3), time.monotonic(), [], 0, HOME.copy()
+    while time.monotonic() - began_s < limit_s:
+        at = np.clip(at + random.uniform(-0.08, 0.08, 7), HOME - 0.5, HOME + 0.5)
+        if driver.read().detail["fault"]:
+            faults += 1
+            print(f"    fault: {driver.read().detail['fault']}", flush=True)
+            driver.recover()
+        go(driver, at, 0.1)
+        time.sleep(0.05)
+        rates.append(float(driver.read().detail["control_success_rate"]))
+    print(
+        f"| {limit_s:.0f} s of random targets at 20 Hz, {what} | {faults} faults; control success rate: "
+        f"worst {min(rates[10:]):.2f}, median {np.median(rates[10:]):.2f} |",
+        flush=True,
+    )
+
+
+def child() -> None:
+    """Streams until it is ended; for `lost_processes`."""
+    driver, step = open_driver(), 0
+    while True:
+        step += 1
+        go(driver, HOME + 0.5 * np.sin(0.06 * step) * np.array([1, 0.3, 1, 0.3, 1, 1, 1]), 0.1)
+        time.sleep(0.05)
+
+
+def lost_processes(sim: FrankaSim, log: Path) -> None:
+    """What the arm does when the process of the driver is gone or frozen while it moves."""
+    for number, name in ((signal.SIGKILL, "kill -9"), (signal.SIGSTOP, "SIGSTOP"), (signal.SIGTERM, "kill")):
+        told = len(log.read_bytes())
+        process = subprocess.Popen([sys.executable, __file__, "--child"])
+        time.sleep(3.0)
+        wait(None, lambda: bool(speeds(sim).max() > 0.2))
+        process.send_signal(number)
+        took_s = wait(None, lambda: bool(speeds(sim).max() < 2e-3))
+        time.sleep(0.5)
+        rest = speeds(sim).max()
+        process.kill()
+        process.wait()
+        new = log.read_bytes()[told:].decode(errors="replace")
+        by = "its communication watchdog" if "communication_constraints_violation" in new else "the end of its client"
+        print(
+            f"| {name} of the driver's process while it moves | at rest after {took_s * 1e3:.0f} ms by {by}, stays "
+            f"({rest:.4f} rad/s) |",
+            flush=True,
+        )
+        time.sleep(2.0)
+
+
+def main() -> None:
+    """All of it."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--targets", type=int, default=100)
+    parser.add_argument("--stops", type=int, default=40)
+    parser.add_argument("--stream-s", type=float, default=60.0)
+    parser.add_argument("--load", type=int, default=8, help="busy processes beside it")
+    parser.add_argument("--child", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.child:
+        child()
+    log = Path("out/bench-fci/franka-sim.log")
+    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; franka-sim 1.1.7 {' '.join(STRICT)}")
+    with FrankaSim(PYTHON, seed=1, options=(*STRICT, "--no-gripper"), log=log) as sim:
+        driver = open_driver()
+        accuracy(driver, sim, arguments.targets)
+        latency(driver, sim, 10)
+        stops(driver, sim, arguments.stops)
+        stream(driver, sim, arguments.stream_s, "nothing started beside it")
+        busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(arguments.load)]
+        try:
+            stream(driver, sim, arguments.stream_s, f"{arguments.load} busy processes beside it")
+        finally:
+            for process in busy:
+                process.kill()
+                process.wait()
+        driver.close()
+        time.sleep(1.5)
+        lost_processes(sim, log)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""franka-sim with a hand, a table and cubes, in the simulator's own environment, where this package is not installed.
+
+Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port of
+loopback: "{}" asks for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a
+motion with that flag. Facts about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`.
+"""
+
+# mypy: ignore-errors
+import argparse
+import json
+import logging
+import pathlib
+import socket
+import threading
+
+import franka_sim.mujoco_franka_sim as backend
+import mujoco
+import numpy as np
+from franka_sim import FrankaSimServer
+from franka_sim.franka_protocol import RobotMode
+
+JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))
+FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
+ROBOT, SURROUNDINGS = 1, 2
+ARMATURE = 0.195
+"""Of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1 ms."""
+FINGER_ARMATURE_KG = 0.3
+
+
+def solid(geom, friction, bit):
+    """Touches what is not the robot."""
+    geom.contype, geom.conaffinity = bit, 0 if bit == ROBOT else ROBOT | SURROUNDINGS
+    geom.condim = 4
+    geom.friction, geom.solref = friction, (0.005, 1.0)
+    geom.solimp = (0.98, 0.999, 0.001, 0.5, 2.0)
+
+
+def build(scene, dt):
+    """The compiled model: the robot of our URDF, the table, the cubes."""
+    compiler = '<mujoco><compiler discardvisual="true" fusestatic="false"/></mujoco></robot>'
+    spec = mujoco.MjSpec.from_string(scene["urdf"].replace("</robot>", compiler))
+    for body in spec.bodies:
+        body.gravcomp = 1.0
+    for geom in spec.geoms:
+        solid(geom, scene["finger_friction"], ROBOT)
+    for joint in spec.joints:
+        joint.armature = FINGER_ARMATURE_KG if joint.name in FINGERS else ARMATURE
+    table = spec.worldbody.add_geom()
+    table.type, table.size = mujoco.mjtGeom.mjGEOM_BOX, np.array(scene["table_size_m"]) / 2
+    table.pos = scene["table_centre_m"]
+    solid(table, (scene["table_friction"], 0.005, 0.0001), SURROUNDINGS)
+    for cube in scene["cubes"]:
+        body = spec.worldbody.add_body()
+        body.name, body.pos = cube["name"], (cube["x_m"], cube["y_m"], cube["edge_m"] / 2)
+        body.quat = (np.cos(cube["yaw_rad"] / 2), 0.0, 0.0, np.sin(cube["yaw_rad"] / 2))
+        joint = body.add_joint()
+        joint.type, joint.name = mujoco.mjtJoint.mjJNT_FREE, cube["name"]
+        box = body.add_geom()
+        box.type, box.size, box.density = mujoco.mjtGeom.mjGEOM_BOX, [cube["edge_m"] / 2] * 3, scene["density_kg_m3"]
+        solid(box, scene["cube_friction"], SURROUNDINGS)
+    spec.option.timestep = dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    return spec.compile(), "fr3_"
+
+
+class SceneSim(backend.MujocoFrankaSim):
+    """franka-sim's arm and hand in our scene; it begins in our home posture."""
+
+    def __init__(self, scene):
+        super().__init__(enable_hand=True)
+        self.scene = scene
+        self.truth = {}
+        self.keep_mode = lambda: None
+        backend.ARM_INITIAL_Q = np.array(scene["home_rad"])
+        backend.build_model = lambda enable_hand, dt, model_path: build(scene, dt)
+        self.latest_joint_positions = backend.ARM_INITIAL_Q.copy()
+        self._position_feedforward = backend.PositionFeedforward(backend.ARM_INITIAL_Q)
+        backend.default_fr3_mjcf = lambda: pathlib.Path("fr3.urdf of rn-robot-fr3")
+
+    def finger_control_force(self):
+        """As the parent's, and the two fingers keep together, as the one motor of the real hand has it."""
+        force = super().finger_control_force()
+        apart = self.data.qpos[self.finger_qpos_adr[0]] - self.data.qpos[self.finger_qpos_adr[1]]
+        speed = self.data.qvel[self.finger_dofs_idx[0]] - self.data.qvel[self.finger_dofs_idx[1]]
+        keep = 4000.0 * apart + 60.0 * speed
+        return force + np.array([-keep, keep])
+
+    def _read_and_publish_state(self):
+        super()._read_and_publish_state()
+        self.keep_mode()
+        poses = []
+        for cube in self.scene["cubes"]:
+            start = self.model.joint(cube["name"]).qposadr[0]
+            x, y, z, qw, qx, qy, qz = self.data.qpos[start : start + 7].tolist()
+            poses.append([x, y, z, qx, qy, qz, qw])
+        self.truth = {
+            "time_s": self.data.time,
+            "seed": self.scene["seed"],
+            "joints": [*self.data.qpos[self.arm_qpos_adr].tolist(), *self.data.qpos[self.finger_qpos_adr].tolist()],
+            "velocities": self.data.qvel[self.arm_dofs_idx].tolist(),
+            "cubes": [[cube["name"], cube["edge_m"]] for cube in self.scene["cubes"]],
+            "poses": poses,
+        }
+
+
+def tell(sim, server, port):
+    """Answer questions and play the person at the arm."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.bind(("127.0.0.1", port))
+    while True:
+        data, sender = listener.recvfrom(1024)
+        asked = json.loads(data)
+        if "mode" in asked:
+            mode = RobotMode(asked["mode"])
+            if mode != RobotMode.kIdle and server.robot_state.state["robot_mode"] == RobotMode.kMove:
+                server._abort_with_error(0, f"told to stop: {mode.name}")
+                server.robot_state.state["errors"] = [False] * 41
+            server.robot_state.state["robot_mode"] = mode
+            kept = {"robot_mode": mode} if mode != RobotMode.kIdle else {}
+            sim.keep_mode = lambda kept=kept: server.robot_state.state.update(kept)
+        if "error" in asked:
+            server._abort_with_error(int(asked["error"]), "told to stop")
+        listener.sendto(json.dumps(sim.truth).encode(), sender)
+
+
+def main():
+    """Run until interrupted."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene")
+    parser.add_argument("--scene-port", type=int, required=True)
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--no-gripper", action="store_true")
+    parser.add_argument("--enforce-comm-constraints", action="store_true")
+    parser.add_argument("--enforce-motion-limits", action="store_true")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()))
+    server = FrankaSimServer(
+        host=arguments.host,
+        physics_sim=sim,
+        enable_gripper=not arguments.no_gripper,
+        gripper_physics=not arguments.no_gripper,
+        enforce_comm_constraints=arguments.enforce_comm_constraints,
+        enforce_motion_limits=arguments.enforce_motion_limits,
+    )
+    threading.Thread(target=tell, args=(sim, server, arguments.scene_port), daemon=True).start()
+    try:
+        server.start()
+    except KeyboardInterrupt:
+        server.stop()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""The arm through franky: its C++ thread talks to the robot at 1 kHz, Python only tells it where to go."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_fr3.fci import faults
+from rn_robot_fr3.fci.options import FciDriverOptions
+from rn_robot_fr3.fci.planner import (
+    ACCELERATION_LIMIT_RAD_S2,
+    JERK_LIMIT_RAD_S3,
+    VELOCITY_LIMIT_RAD_S,
+    Plan,
+)
+
+log = logging.getLogger(__name__)
+F64 = NDArray[np.float64]
+
+PORT = 1337
+"""TCP port of the FCI; libfranka has no other."""
+_PRIORITY = 20
+_PROBE_S = 3.0
+_STOP_S = 5.0
+_NO_FILTER_HZ = 1000.0
+"""libfranka's kMaxCutoffFrequency: with its low-pass filter on, a change of target is a jump in acceleration."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ArmState:
+    """What the control box measured.
+
+    Attributes:
+        position, velocity, torque: float64 (7,) [rad, rad/s, Nm].
+        external_torque: float64 (7,), filtered [Nm].
+        wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base frame.
+        tcp_m: float64 (3,), position of the end effector that Desk has configured, in the base frame.
+        mode: libfranka's RobotMode, such as "Idle".
+        errors: flags that are set now.
+        success_rate: share of the last 100 commands that came in time; 0 when none are sent.
+    """
+
+    position: F64
+    velocity: F64
+    torque: F64
+    external_torque: F64
+    wrench: F64
+    tcp_m: F64
+    mode: str
+    success_rate: float
+    errors: tuple[str, ...] = field(default=())
+
+
+def load_client() -> Any:
+    """The client library; imported when it is needed, for it takes 0.1 s."""
+    return importlib.import_module("franky")
+
+
+class FciArm:
+    """One connection; methods raise the client library's exceptions unless said otherwise."""
+
+    def __init__(self, options: FciDriverOptions, client: Any) -> None:
+        self._options = options
+        self._client = client
+        self._robot: Any = None
+        self._flags = [name for name in dir(client.Errors) if not name.startswith("_")]
+        self.is_realtime = False
+
+    def connect(self) -> None:
+        """Connect anew and set limits, thresholds and load.
+
+        Raises:
+            ConfigurationError, NotReadyError: it cannot be; says what to do.
+        """
+        self._robot = None  # before the next: the control box serves one client
+        host = self._options.host
+        try:
+            socket.create_connection((host, PORT), _PROBE_S).close()
+        except OSError as error:
+            raise faults.unreachable(host, str(error.strerror or error)) from error
+        self._robot = self._open_in_time(host)
+        self._robot.joint_velocity_limit.set(VELOCITY_LIMIT_RAD_S)
+        self._robot.joint_acceleration_limit.set(ACCELERATION_LIMIT_RAD_S2)
+        self._robot.joint_jerk_limit.set(JERK_LIMIT_RAD_S3)
+        self._robot.set_collision_behavior(self._options.collision_torque_nm, self._options.collision_force_n)
+        if self._options.load_kg > 0.0:
+            self._robot.set_load(self._options.load_kg, list(self._options.load_centre_m), [0.0] * 9)
+
+    def _open_in_time(self, host: str) -> Any:
+        """Connect in a thread that may be left behind: the library waits a minute for an answer."""
+        config = self._client.RealtimeConfig
+        realtime = config.Enforce if self._options.realtime == "required" else config.Ignore
+        outcome: list[Any] = []
+        expired = threading.Event()
+
+        def connect() -> None:
+            try:
+                robot = self._client.Robot(host, realtime_config=realtime)
+            except Exception as error:  # carried to the caller's thread
+                outcome.append(error)
+                return
+            if not expired.is_set():
+                outcome.append(robot)
+
+        thread = threading.Thread(target=connect, name="fci-connect", daemon=True)
+        thread.start()
+        thread.join(self._options.connect_timeout_s)
+        if not outcome:
+            expired.set()
+            raise faults.silent(host, self._options.connect_timeout_s)
+        if isinstance(outcome[0], Exception):
+            raise faults.while_connecting(outcome[0], host) from outcome[0]
+        return outcome[0]
+
+    def read(self) -> ArmState:
+        """The newest state; takes 2 ms when no motion runs. Raises too what ended a motion."""
+        self._robot.poll_motion()
+        state = self._robot.state
+        return ArmState(
+            position=np.array(state.q, dtype=np.float64),
+            velocity=np.array(state.dq, dtype=np.float64),
+            torque=np.array(state.tau_J, dtype=np.float64),
+            external_torque=np.array(state.tau_ext_hat_filtered, dtype=np.float64),
+            wrench=np.array(state.O_F_ext_hat_K, dtype=np.float64),
+            tcp_m=np.array(state.O_T_EE.translation, dtype=np.float64).ravel(),
+            mode=state.robot_mode.name,
+            success_rate=float(state.control_command_success_rate),
+            errors=tuple(name for name in self._flags if getattr(state.current_errors, name) is True),
+        )
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the control loop runs."""
+        return bool(self._robot.is_in_control)
+
+    def go(self, plan: Plan) -> None:
+        """Go to the plan's target; replaces what it was doing, without a jump."""
+        client, factor = self._client, self._options.dynamics_factor
+        dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor, factor)
+        waypoint = client.JointWaypoint(client.JointState(plan.target), relative_dynamics_factor=dynamics)
+        self._move(client.JointWaypointMotion([waypoint], return_when_finished=False))
+
+    def stop(self) -> None:
+        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once."""
+        if self.is_moving:
+            self._move(self._client.JointStopMotion())
+
+    def _move(self, motion: Any) -> None:
+        with self._realtime_threads():
+            self._robot.move(motion, asynchronous=True, cutoff_frequency=_NO_FILTER_HZ)
+
+    @contextmanager
+    def _realtime_threads(self) -> Iterator[None]:
+        """Threads started within the block are scheduled before ordinary ones, where the system allows it."""
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        except OSError:
+            yield
+            return
+        self.is_realtime = True
+        try:
+            yield
+        finally:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+    def recover(self) -> None:
+        """Clear the errors of a reflex."""
+        self._robot.recover_from_errors()
+
+    def close(self) -> None:
+        """Stop and disconnect; may be called twice."""
+        robot, self._robot = self._robot, None
+        if robot is None:
+            return
+        with suppress(Exception):  # whatever it answers, it is left
+            if robot.is_in_control:
+                robot.move(self._client.JointStopMotion(), asynchronous=True, cutoff_frequency=_NO_FILTER_HZ)
+                robot.join_motion(_STOP_S)

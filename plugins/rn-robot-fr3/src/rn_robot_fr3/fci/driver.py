@@ -1,0 +1,324 @@
+"""The driver `fci`: a real FR3, or a simulator that speaks its network protocol."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_fr3.fci import faults
+from rn_robot_fr3.fci.arm import ArmState, FciArm, load_client
+from rn_robot_fr3.fci.faults import Fault
+from rn_robot_fr3.fci.gripper import FciGripper
+from rn_robot_fr3.fci.options import FciDriverOptions
+from rn_robot_fr3.fci.planner import plan
+from rn_robot_fr3.fci.scene import SceneFeed
+from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, MIMIC_FINGER_JOINT
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    JointCommand,
+    JointSample,
+    RefusedError,
+    RobotProfile,
+    RobotState,
+    StateError,
+    Topics,
+)
+
+log = logging.getLogger(__name__)
+F64 = NDArray[np.float64]
+
+_PERIOD_S = 0.008
+_IDLE_S = 1.0
+"""So long after a motion has ended the control loop is ended too: no packet can be late when nothing moves."""
+_RECOVERY_S = 2.0
+_JOIN_S = 5.0
+
+
+class FciDriver:
+    """Follows the protocols `RobotDriver` and `RecoverableDriver`; every method may be called from any thread."""
+
+    def __init__(self, config: FciDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        """Remember what to connect to. Raises ConfigurationError without a host or for another robot's profile."""
+        if config is None:
+            raise ConfigurationError("The driver 'fci' needs an address.", hint="Set host in [plugins.fr3].")
+        if profile.arm_joints != ARM_JOINTS:
+            raise ConfigurationError(
+                f"The driver 'fci' moves {', '.join(ARM_JOINTS)}, the profile {profile.name!r} has others."
+            )
+        self._options = config
+        self._topics = topics
+        self._arm: FciArm | None = None
+        self._gripper: FciGripper | None = None
+        self._scene = SceneFeed(config.scene, topics) if config.scene else None
+        self._commanding = threading.Lock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._fault: Fault | None = None
+        self._state: RobotState | None = None
+        self._measured: ArmState | None = None
+        self._asked_s = 0.0
+        self._busy_until_s = 0.0
+        self._stopped_s = 0.0
+        self._watchdog_stops = 0
+
+    def open(self) -> None:
+        """Connect to arm and gripper; the arm stays where it is.
+
+        Raises:
+            StateError: it is open already.
+            ConfigurationError, NotReadyError, MissingDependencyError: it cannot be; says what to do.
+        """
+        if self._arm is not None:
+            raise StateError("The driver 'fci' is open already.")
+        client = load_client()
+        arm = FciArm(self._options, client)
+        gripper = FciGripper(self._options, client) if self._options.gripper else None
+        try:
+            arm.connect()
+            self._arm = arm
+            if gripper is not None:
+                gripper.open()
+                self._gripper = gripper
+            if self._scene is not None:
+                self._scene.open()
+        except Exception:
+            arm.close()
+            self.close()
+            raise
+        self._fault = None
+        self._stop.clear()
+        self._asked_s = time.monotonic()
+        self._take(arm.read())
+        self._thread = threading.Thread(target=self._watch, name="fci-state", daemon=True)
+        self._thread.start()
+
+    def read(self) -> RobotState:
+        """Return the newest state, measured 125 times per second.
+
+        `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors", "control_success_rate",
+        "torque_nm", "external_torque_nm", "external_wrench" (N, Nm, base frame), "tcp_m",
+        "watchdog_stops", "realtime" and "gripper".
+
+        Raises:
+            StateError: not open.
+        """
+        self._asked_s = time.monotonic()
+        state = self._state
+        if self._arm is None or state is None:
+            raise StateError("The driver 'fci' is not open.")
+        return state
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Move towards `command`; it replaces the one before, without a jump in position, velocity or acceleration.
+
+        Returns:
+            The command with positions inside the limits and an estimate of the time that it takes.
+
+        Raises:
+            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0; nothing is sent.
+            StateError: not open.
+            UnsafeError: the arm has a fault; says which, and what to do.
+        """
+        values = _checked(command)
+        with self._commanding:
+            arm, measured = self._arm, self._measured
+            if arm is None or measured is None:
+                raise StateError("The driver 'fci' is not open.")
+            if self._fault is not None:
+                raise self._fault.error()
+            sent = dict(values)
+            duration_s = command.duration_s
+            if any(name in values for name in ARM_JOINTS):
+                target = np.array([values.get(n, q) for n, q in zip(ARM_JOINTS, measured.position, strict=True)])
+                course = plan(measured.position, target, command.duration_s, self._options.dynamics_factor)
+                try:
+                    arm.go(course)
+                except Exception as error:
+                    self._fail(faults.from_exception(error))
+                    raise faults.from_exception(error).error() from error
+                duration_s = course.duration_s
+                sent.update((n, float(q)) for n, q in zip(ARM_JOINTS, course.target, strict=True) if n in values)
+                self._busy_until_s = time.monotonic() + duration_s + _IDLE_S
+        if self._gripper is not None and FINGER_JOINT in values:
+            sent[FINGER_JOINT] = float(np.clip(values[FINGER_JOINT], 0.0, FINGER_OPEN_M))
+            self._gripper.aim(2 * sent[FINGER_JOINT])
+        return replace(command, position=np.array([sent[n] for n in command.names]), duration_s=duration_s)
+
+    def hold(self) -> None:
+        """Brake the arm to a standstill; the gripper keeps its grasp. Raises StateError unless open."""
+        with self._commanding:
+            if self._arm is None:
+                raise StateError("The driver 'fci' is not open.")
+            self._busy_until_s = time.monotonic() + _IDLE_S
+            if self._fault is None:
+                try:
+                    self._arm.stop()
+                except Exception as error:  # it has stopped by itself
+                    self._fail(faults.from_exception(error))
+
+    def recover(self) -> str:
+        """Clear the fault; called because a person said so. The arm stays where it is until the next command.
+
+        Returns:
+            The code of the fault that was cleared.
+
+        Raises:
+            StateError: there is no fault, or it is not open.
+            RefusedError: the cause still stands; says what to do.
+        """
+        with self._commanding:
+            arm, fault = self._arm, self._fault
+            if arm is None:
+                raise StateError("The driver 'fci' is not open.")
+            if fault is None:
+                raise StateError("The arm has no fault to recover from.")
+            now = self._recovered(arm, fault)
+            if now is not None:
+                self._fault = now
+                raise RefusedError(f"The FR3 cannot be recovered ({now.code}): {now.message}", hint=now.hint)
+            self._fault = None
+            self._asked_s = time.monotonic()
+            log.warning("Recovered from %s.", fault.code)
+            return fault.code
+
+    def _recovered(self, arm: FciArm, fault: Fault) -> Fault | None:
+        """Try to clear it; returns what stands in the way."""
+        try:
+            if fault.code == "communication_lost":
+                arm.connect()
+            state = arm.read()
+            found = faults.from_mode(state.mode, state.errors)
+            if found is not None and found.stands:
+                return found
+            arm.recover()
+            deadline_s = time.monotonic() + _RECOVERY_S
+            while (found := faults.from_mode(state.mode, state.errors)) and time.monotonic() < deadline_s:
+                time.sleep(_PERIOD_S)
+                state = arm.read()
+            return found
+        except Exception as error:
+            return replace(fault, message=f"{fault.message} Recovery failed: {str(error).splitlines()[0]}")
+
+    def close(self) -> None:
+        """Stop in a controlled way and disconnect; may be called twice and before `open`."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None
+        with self._commanding:
+            arm, self._arm, self._state = self._arm, None, None
+        if arm is not None:
+            arm.close()
+        if self._gripper is not None:
+            self._gripper.close()
+            self._gripper = None
+        if self._scene is not None:
+            self._scene.close()
+
+    def _watch(self) -> None:
+        """Measure; notice faults; end what nobody looks after."""
+        while not self._stop.wait(_PERIOD_S):
+            with self._commanding:
+                arm = self._arm
+                if arm is None:
+                    return
+                try:
+                    self._look_after(arm)
+                except Exception as error:  # what ended a motion, or the connection
+                    self._fail(faults.from_exception(error))
+
+    def _look_after(self, arm: FciArm) -> None:
+        if self._fault is not None and self._fault.code == "communication_lost":
+            self._show()
+            return
+        self._take(arm.read())
+        now_s = time.monotonic()
+        if not arm.is_moving:
+            return
+        is_hung = now_s - self._asked_s > self._options.watchdog_s and now_s > self._stopped_s + _IDLE_S
+        if is_hung:
+            self._watchdog_stops += 1
+            self._stopped_s = now_s
+            log.error("The robot module has asked for nothing for %.2f s: the arm stops.", now_s - self._asked_s)
+        if is_hung or now_s > self._busy_until_s:
+            arm.stop()
+            self._busy_until_s = now_s + _IDLE_S
+
+    def _take(self, measured: ArmState) -> None:
+        self._measured = measured
+        found = faults.from_mode(measured.mode, measured.errors)
+        if found is not None and (self._fault is None or found.stands):
+            self._fail(found)
+        self._show()
+
+    def _fail(self, fault: Fault) -> None:
+        if self._fault != fault:
+            log.error("Fault %s: %s %s", fault.code, fault.message, fault.hint)
+        self._fault = fault
+
+    def _show(self) -> None:
+        measured, fault = self._measured, self._fault
+        assert measured is not None
+        names, position, velocity = ARM_JOINTS, measured.position, measured.velocity
+        is_open = None
+        detail = {
+            "mode": measured.mode,
+            "fault": f"{fault.code}: {fault.message}" if fault else "",
+            "fault_hint": fault.hint if fault else "",
+            "errors": ", ".join(measured.errors),
+            "control_success_rate": f"{measured.success_rate:.2f}",
+            "torque_nm": _listed(measured.torque, 1),
+            "external_torque_nm": _listed(measured.external_torque, 1),
+            "external_wrench": _listed(measured.wrench, 1),
+            "tcp_m": _listed(measured.tcp_m, 4),
+            "watchdog_stops": str(self._watchdog_stops),
+            "realtime": self._options.realtime if self._options.realtime == "required" else _scheduled(self._arm),
+        }
+        if self._gripper is not None:
+            finger_m = self._gripper.width_m / 2
+            names = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
+            position, velocity = np.append(position, [finger_m, finger_m]), np.append(velocity, [0.0, 0.0])
+            is_open = float(np.clip(finger_m / FINGER_OPEN_M, 0.0, 1.0))
+            detail["gripper"] = self._gripper.note
+        if self._scene is not None:
+            detail |= self._scene.detail()
+        self._state = RobotState(
+            joints=JointSample(names=names, position=position, velocity=velocity, stamp_ns=self._topics.now_ns()),
+            gripper_open=is_open,
+            detail=detail,
+        )
+
+
+def _scheduled(arm: FciArm | None) -> str:
+    return "ignored; scheduled first in, first out" if arm is not None and arm.is_realtime else "ignored"
+
+
+def _listed(values: Sequence[float] | F64, digits: int) -> str:
+    return json.dumps([round(float(value), digits) for value in values])
+
+
+def _checked(command: JointCommand) -> dict[str, float]:
+    known = (*ARM_JOINTS, FINGER_JOINT)
+    unknown = [name for name in command.names if name not in known]
+    if unknown:
+        raise InvalidInputError(f"Joint {unknown[0]!r} is not known, expected some of {', '.join(known)}.")
+    if not command.names or len(set(command.names)) != len(command.names):
+        raise InvalidInputError(f"Joint names are {list(command.names)}, expected at least one and each only once.")
+    if command.position.shape != (len(command.names),):
+        raise InvalidInputError(
+            f"Positions have shape {command.position.shape}, expected ({len(command.names)},): one per joint name."
+        )
+    if not np.isfinite(command.position).all():
+        bad = command.names[int(np.argmin(np.isfinite(command.position)))]
+        raise InvalidInputError(f"The position of {bad!r} is not finite; nothing was sent.")
+    if not (np.isfinite(command.duration_s) and command.duration_s > 0.0):
+        raise InvalidInputError(f"duration_s is {command.duration_s}, expected a finite number of seconds > 0.")
+    return dict(zip(command.names, command.position.tolist(), strict=True))

@@ -1,0 +1,121 @@
+"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else may wait for that."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Any
+
+from rn_robot_fr3.fci.options import FciDriverOptions
+from rn_robot_fr3.limits import FINGER_OPEN_M
+from roboneuron import NotReadyError
+
+log = logging.getLogger(__name__)
+
+_CLOSED_M = 0.004
+"""A width up to this asks for a grasp: close with force on whatever there is."""
+_NOTHING_M = 0.003
+"""Closed up to this width the fingers hold nothing."""
+_MISSED_M = 0.004
+"""A motion that ends this far from its width was blocked."""
+_SAME_M = 0.001
+_PERIOD_S = 0.05
+_JOIN_S = 3.0
+
+
+class FciGripper:
+    """Follows the newest width; every method may be called from any thread.
+
+    Attributes:
+        width_m: last measured, 0 .. 0.08.
+        note: "moving", "open", "grasped", "nothing grasped", "blocked at ...", "at rest" or why it fails.
+    """
+
+    def __init__(self, options: FciDriverOptions, client: Any) -> None:
+        self._options = options
+        self._client = client
+        self._hand: Any = None
+        self._thread: threading.Thread | None = None
+        self._changed = threading.Condition()
+        self._wanted_m: float | None = None
+        self._done_m: float | None = None
+        self._stop = False
+        self.width_m = 2 * FINGER_OPEN_M
+        self.note = "at rest"
+
+    def open(self) -> None:
+        """Connect. Raises NotReadyError when there is no gripper."""
+        try:
+            self._hand = self._client.Gripper(self._options.host)
+            self.width_m = float(self._hand.state.width)
+        except Exception as error:
+            raise NotReadyError(
+                f"The robot at {self._options.host} has no gripper that answers: {str(error).splitlines()[0]}",
+                hint="Mount and configure the Franka Hand in Desk, or set gripper = false.",
+            ) from error
+        self._stop = False
+        self._thread = threading.Thread(target=self._run, name="fci-gripper", daemon=True)
+        self._thread.start()
+
+    def aim(self, width_m: float) -> None:
+        """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts."""
+        with self._changed:
+            if self._wanted_m is None or abs(width_m - self._wanted_m) > _SAME_M:
+                self._wanted_m = width_m
+                self._changed.notify()
+
+    def close(self) -> None:
+        """End the thread; what is held stays held."""
+        with self._changed:
+            self._stop = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None
+        self._hand = None
+
+    def _run(self) -> None:
+        try:
+            if self._hand.state.max_width < _CLOSED_M:
+                self.note = "homing"
+                self._finish(self._hand.homing_async())
+                self.note = "at rest"
+        except Exception as error:
+            self.note = f"homing failed: {error}"
+        while not self._stop:
+            with self._changed:
+                self._changed.wait_for(lambda: self._stop or self._wanted_m != self._done_m, timeout=_PERIOD_S)
+                wanted = self._wanted_m
+            try:
+                if wanted is not None and wanted != self._done_m and not self._stop:
+                    self._done_m = wanted
+                    self._execute(wanted)
+                self.width_m = float(self._hand.state.width)
+            except Exception as error:  # the thread's border; the next command tries again
+                self.note = f"failed: {str(error).splitlines()[0]}"
+                time.sleep(_PERIOD_S)
+
+    def _execute(self, width_m: float) -> None:
+        self.note = "moving"
+        options, speed = self._options, self._options.gripper_speed_m_s
+        if width_m <= _CLOSED_M:
+            self._finish(self._hand.grasp_async(0.0, speed, options.grasp_force_n, 0.0, 2 * FINGER_OPEN_M))
+            self.width_m = float(self._hand.state.width)
+            self.note = "nothing grasped" if self.width_m < _NOTHING_M else f"grasped {self.width_m * 1e3:.0f} mm"
+            return
+        arrived = self._finish(self._hand.move_async(width_m, speed))
+        self.width_m = float(self._hand.state.width)
+        missed_m = abs(self.width_m - width_m)
+        if not arrived or missed_m > _MISSED_M:
+            self.note = f"blocked at {self.width_m * 1e3:.0f} mm on the way to {width_m * 1e3:.0f} mm"
+        else:
+            self.note = f"at {self.width_m * 1e3:.0f} mm"
+
+    def _finish(self, future: Any) -> bool:
+        """Wait for a motion to end and measure on the way."""
+        while not future.wait(_PERIOD_S):
+            if self._stop:
+                return False
+            self.width_m = float(self._hand.state.width)
+        return bool(future.get())
