@@ -7,7 +7,7 @@ from .config.section import (
 )
 from .contract import (
     ACTION_FIELDS as ACTION_FIELDS, ACTION_LABEL as ACTION_LABEL, ACTION_SIZE as ACTION_SIZE,
-    Acceleration as Acceleration, Action as Action, ActionChunk as ActionChunk,
+    Acceleration as Acceleration, Action as Action, ActionChunk as ActionChunk, Ahead as Ahead,
     AnyAcceleration as AnyAcceleration, AnyRuntime as AnyRuntime, Backend as Backend,
     CameraCalibration as CameraCalibration, CameraProfile as CameraProfile,
     CollisionProfile as CollisionProfile, Controller as Controller, Endpoint as Endpoint, Frame as Frame,

@@ -118,6 +118,7 @@ class LerobotConfig(DimensionsDocument):
     num_inference_steps: Annotated[int, Field(ge=1, le=1000, strict=True)] = 10
     tokenizer_max_length: PromptLength = 48
     image_resolution: tuple[int, int] | None = None
+    rtc_training_max_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] | None = None
 
 
 class OpenpiConfig(DimensionsDocument):

@@ -130,6 +130,7 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Checkpoint:
         action_steps=min(config.chunk_size, config.n_action_steps or config.chunk_size),
         prompt_length=config.tokenizer_max_length,
         relative_actions=relative,
+        trained_prefix_rows=min(config.chunk_size, config.rtc_training_max_delay or 0),
     )
 
 

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from rn_backend_pi0.checkpoint import Checkpoint, Family
+from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.image import Flip, Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
 from rn_backend_pi0.weights import load_network
@@ -79,7 +80,14 @@ class Pi0Model:
         return self.checkpoint.dims.chunk, self.checkpoint.dims.action
 
     def infer(
-        self, images: Sequence[U8 | None], token_ids: Sequence[int], state: F32, noise: F32, *, flip: Flip = "none"
+        self,
+        images: Sequence[U8 | None],
+        token_ids: Sequence[int],
+        state: F32,
+        noise: F32,
+        *,
+        flip: Flip = "none",
+        prefix: Prefix | None = None,
     ) -> F32:
         """Run one inference.
 
@@ -89,6 +97,7 @@ class Pi0Model:
             state: float32 (n,), in the training data's units.
             noise: float32 of `noise_shape`.
             flip: how upright images are turned first.
+            prefix: rows to continue; None for a chunk of its own.
 
         Returns:
             float32 of `noise_shape`, normalised.
@@ -110,6 +119,7 @@ class Pi0Model:
             torch.from_numpy(padded).to(self.device),
             torch.from_numpy(noise).to(self.device),
             self._times,
+            prefix,
         )
         return np.asarray(actions.cpu().numpy(), dtype=np.float32)
 

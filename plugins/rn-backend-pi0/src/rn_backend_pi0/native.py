@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_pi0.checkpoint import Checkpoint
+from rn_backend_pi0.chunking import Prefix, RunningChunk
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.profiles import Profile
@@ -19,6 +20,7 @@ from roboneuron import (
     ACTION_FIELDS,
     ACTION_SIZE,
     ActionChunk,
+    Ahead,
     CheckpointError,
     ConfigurationError,
     Observation,
@@ -168,8 +170,9 @@ class Pi0Backend:
         token_ids = self._prompt.encode(observation.instruction)
         state = profile.state.build(observation)
         narrow = state.astype(np.float32)
+        prefix = self._prefix(observation.ahead, narrow)
         normalized = model.infer(
-            images, token_ids, narrow, self._noise(model.noise_shape), flip=self._config.image_flip
+            images, token_ids, narrow, self._noise(model.noise_shape), flip=self._config.image_flip, prefix=prefix
         )
         if not np.isfinite(normalized).all():
             raise UnsafeError("The pi0 model produced non-finite values; nothing is executed.")
@@ -191,6 +194,8 @@ class Pi0Backend:
                 "state_deviation": deviation,
             },
             note=note,
+            context=RunningChunk(normalized=normalized, state=narrow),
+            conditioned_rows=0 if prefix is None else min(prefix.committed, len(actions)),
         )
 
     def reset(self) -> None:
@@ -212,6 +217,30 @@ class Pi0Backend:
                 raise UngroundedError(f"pi0 needs a frame of the camera role {role!r}; the observation has: {have}.")
             images.append(None if frame is None else frame.image)
         return images
+
+    def _prefix(self, ahead: Ahead | None, state: NDArray[np.float32]) -> Prefix | None:
+        """The rest of the running chunk in the model's own form; None when there is none to continue."""
+        config, model, profile = self._config, self._model, self._profile
+        running = None if ahead is None else ahead.context
+        if not config.rtc or ahead is None or not isinstance(running, RunningChunk) or model is None or profile is None:
+            return None
+        rows = running.normalized[ahead.context_row :]
+        if not len(rows):
+            return None
+        if profile.action.adds_state:  # the rows are relative to a state that has changed meanwhile
+            score, rows = model.action.head(6), rows.copy()
+            moved = (running.state - state)[:6] / (score.std + np.float32(score.backward_eps))
+            rows[:, :6] += moved
+        trained = model.checkpoint.trained_prefix_rows
+        return Prefix(
+            rows=rows,
+            committed=min(ahead.committed_rows, trained) if trained else ahead.committed_rows,
+            horizon=config.rtc_horizon,
+            schedule=config.rtc_schedule,
+            max_weight=config.rtc_max_weight,
+            jacobian=config.rtc_jacobian,
+            trained=trained > 0,
+        )
 
     def _noise(self, shape: tuple[int, int]) -> NDArray[np.float32]:
         random = np.random.default_rng(self._config.numpy_seed) if self._config.noise == "fixed" else self._random

@@ -7,6 +7,7 @@ sees only the prefix, so its keys and values are constant over the Euler steps a
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import cast
 
 import torch
@@ -14,6 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rn_backend_pi0.architecture import GemmaDims, Pi0Dims, VisionDims
+from rn_backend_pi0.chunking import Prefix
+from rn_backend_pi0.guidance import CleanPrefix, Guide
 
 KeyValue = tuple[Tensor, Tensor]
 Rotary = tuple[Tensor, Tensor]
@@ -171,9 +174,14 @@ class Pi0Network(nn.Module):
         self.action_time_mlp_out = nn.Linear(width, width)
         self.action_out_proj = nn.Linear(width, dims.action)
 
-    @torch.inference_mode()
     def sample_actions(
-        self, pixels: Tensor, token_ids: Tensor, state: Tensor, noise: Tensor, times: tuple[float, ...]
+        self,
+        pixels: Tensor,
+        token_ids: Tensor,
+        state: Tensor,
+        noise: Tensor,
+        times: tuple[float, ...],
+        prefix: Prefix | None = None,
     ) -> Tensor:
         """Integrate the flow from noise at t = 1 to actions at t = 0.
 
@@ -183,26 +191,59 @@ class Pi0Network(nn.Module):
             state: float32 (dims.state,), normalised and zero-padded.
             noise: float32 (dims.chunk, dims.action).
             times: flow time at each Euler step, from 1 downwards; their number is the number of steps.
+            prefix: rows to continue; None for a chunk of its own.
 
         Returns:
             float32 (dims.chunk, dims.action), normalised.
         """
+        needs_gradient = prefix is not None and prefix.jacobian == "full" and not prefix.trained
+        # Tensors made in inference mode cannot be differentiated through; no_grad allows it where it is asked for.
+        with torch.no_grad() if needs_gradient else torch.inference_mode():
+            return self._integrate(pixels, token_ids, state, noise, times, prefix)
+
+    def _integrate(
+        self,
+        pixels: Tensor,
+        token_ids: Tensor,
+        state: Tensor,
+        noise: Tensor,
+        times: tuple[float, ...],
+        prefix: Prefix | None,
+    ) -> Tensor:
         dims, device, dtype = self.dims, noise.device, self.projector.weight.dtype
-        prefix = self._embed_prefix(pixels.to(dtype), token_ids)
-        length = prefix.shape[0]
+        embedded = self._embed_prefix(pixels.to(dtype), token_ids)
+        length = embedded.shape[0]
         rotary = self._rotary(length + 1 + dims.chunk, device, dtype)
-        cache = self._fill_prefix(prefix, _part(rotary, 0, length))
+        cache = self._fill_prefix(embedded, _part(rotary, 0, length))
         self._fill_state(self.state_proj(state)[None].to(dtype), _part(rotary, length, length + 1), cache, length)
         time_terms = self._time_terms(times, device)
         action_weight = self.action_time_mlp_in.weight[:, : dims.expert.width]
         suffix_rotary = _part(rotary, length + 1, length + 1 + dims.chunk)
-        step = -1.0 / len(times)
-        x = noise
-        for term in time_terms:
+        guide = clean = None
+        if prefix is not None and prefix.trained:
+            clean = CleanPrefix.of(prefix, noise, self._time_terms((0.0,), device))
+        elif prefix is not None:
+            guide = Guide.of(prefix, noise, times)
+
+        def velocity(x: Tensor, term: Tensor, *, keep: bool = False) -> Tensor:
             hidden = F.silu(F.linear(self.action_in_proj(x), action_weight) + term)
             hidden = self.action_time_mlp_out(hidden).to(dtype)
-            x = x + step * self._velocity(hidden, suffix_rotary, cache, length + 1)
-        return x
+            return self._velocity(hidden, suffix_rotary, cache, length + 1, keep=keep)
+
+        step = -1.0 / len(times)
+        x = noise
+        for index, term in enumerate(time_terms):
+            if clean is not None:
+                x = clean.put(x)
+                term = clean.terms(term)
+            if guide is None:
+                v = velocity(x, term)
+            elif guide.is_full:
+                v = guide.bend_fully(x, index, partial(velocity, term=term, keep=True))
+            else:
+                v = guide.bend(x, velocity(x, term), index)
+            x = x + step * v
+        return x if clean is None else clean.put(x)
 
     def _embed_prefix(self, pixels: Tensor, token_ids: Tensor) -> Tensor:
         """(images x tokens + prompt, width): images as they are, the prompt scaled by sqrt(width)."""
@@ -238,12 +279,22 @@ class Pi0Network(nn.Module):
             if index < self.dims.expert.depth - 1:
                 x = layer(x, normed, rotary, _until(cache[index], position + 1))
 
-    def _velocity(self, x: Tensor, rotary: Rotary, cache: list[KeyValue], position: int) -> Tensor:
-        """Run the expert over the action tokens, which see everything; float32 (chunk, dims.action)."""
+    def _velocity(
+        self, x: Tensor, rotary: Rotary, cache: list[KeyValue], position: int, *, keep: bool = False
+    ) -> Tensor:
+        """Run the expert over the action tokens, which see everything; float32 (chunk, dims.action).
+
+        With `keep` the cache stays as it is, as a backward pass needs it.
+        """
         for index, layer in enumerate(self.expert.blocks()):
             normed = layer.input_layernorm(x)
-            _write(cache[index], layer.keys_values(normed, rotary), position)
-            x = layer(x, normed, rotary, cache[index])
+            new = layer.keys_values(normed, rotary)
+            if keep:
+                seen = _joined(_until(cache[index], position), new)
+            else:
+                _write(cache[index], new, position)
+                seen = cache[index]
+            x = layer(x, normed, rotary, seen)
         out: Tensor = self.action_out_proj(self.expert.norm(x).float())
         return out
 
@@ -268,6 +319,10 @@ def _part(rotary: Rotary, start: int, stop: int) -> Rotary:
 
 def _until(cached: KeyValue, stop: int) -> KeyValue:
     return cached[0][:, :stop], cached[1][:, :stop]
+
+
+def _joined(cached: KeyValue, new: KeyValue) -> KeyValue:
+    return torch.cat([cached[0], new[0]], dim=1), torch.cat([cached[1], new[1]], dim=1)
 
 
 def _write(cached: KeyValue, new: KeyValue, position: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
+from rn_backend_pi0.chunking import Jacobian, Schedule
 from rn_backend_pi0.image import Flip, Resize
 from rn_backend_pi0.profiles import PROFILES, Profile
 from rn_backend_pi0.state import StateLayout, StateTerm
@@ -155,6 +156,15 @@ class Pi0Options(_Common):
     )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
+    )
+    rtc: bool = Field(default=True, description="continue the rows that are played meanwhile (real-time chunking)")
+    rtc_schedule: Schedule = Field(
+        default="linear", description="how the guidance falls after the rows that will be played in any case"
+    )
+    rtc_horizon: int | None = Field(default=None, ge=1, description="rows that are guided; all that are left if unset")
+    rtc_max_weight: float = Field(default=10.0, gt=0, le=1000, description="greatest weight of the guidance")
+    rtc_jacobian: Jacobian = Field(
+        default="identity", description="'full' adds a backward pass to each step, as in the paper; slower"
     )
 
     @property

@@ -43,6 +43,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             needs_state=True,
             needs_checkpoint=True,
             action_space=_action_space(),
+            conditions_on_rows=True,
         ),
         BackendSpec(
             name="pi0-remote",

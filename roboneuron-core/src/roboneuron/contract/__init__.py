@@ -8,6 +8,7 @@ numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 from roboneuron.contract.action import (
     ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Action, ActionChunk, apply_delta, check_action_vector,
 )
+from roboneuron.contract.ahead import Ahead
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
@@ -21,7 +22,7 @@ from roboneuron.contract.protocols import (
 )
 
 __all__ = [
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "Action", "ActionChunk",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "Action", "ActionChunk", "Ahead",
     "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile", "CollisionProfile", "Controller",
     "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits", "JointSample", "Observation",
     "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity", "RobotDriver", "RobotProfile",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,6 +84,10 @@ class ActionChunk:
         step_s: time between two actions [s], > 0.
         metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and get_status.
         note: one short sentence on what the backend is doing, shown to the agent; may be empty.
+        context: the backend's own form of the chunk (pi0: normalised actions); handed back to it in `Ahead.context`,
+            in the same process, never looked into.
+        conditioned_rows: so many rows from row 0 on continue `Observation.ahead.rows`, 0 .. H. When it is not 0, the
+            seam is not cross-faded.
 
     Raises:
         InvalidInputError, UnsafeError: as `check_action_vector`, or when the shape is not (H, 7).
@@ -92,6 +97,8 @@ class ActionChunk:
     step_s: float
     metrics: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+    context: Any = None
+    conditioned_rows: int = 0
 
     def __post_init__(self) -> None:
         actions = np.asarray(self.actions, dtype=np.float64)
@@ -101,6 +108,8 @@ class ActionChunk:
             check_action_vector(row)
         if not (np.isfinite(self.step_s) and self.step_s > 0):
             raise InvalidInputError(f"step_s is {self.step_s}, expected a finite number of seconds > 0.")
+        if not 0 <= self.conditioned_rows <= len(actions):
+            raise InvalidInputError(f"conditioned_rows is {self.conditioned_rows}, the chunk has {len(actions)} rows.")
         freeze(self, "actions")
         object.__setattr__(self, "metrics", dict(self.metrics))
 

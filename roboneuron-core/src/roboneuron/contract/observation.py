@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.ahead import Ahead
 from roboneuron.contract.arrays import freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
 
@@ -110,6 +111,8 @@ class Observation:
         ee_pose: measured TCP pose in the base frame, or None likewise.
         gripper_open: measured opening, 0 closed .. 1 open, or None likewise.
         stamp_ns: capture time of the oldest frame, ROS clock [ns].
+        ahead: what is played meanwhile, for backends that declare `conditions_on_rows` or `takes_predicted_state`;
+            None for others, and when nothing is planned.
     """
 
     frames: Mapping[str, Frame]
@@ -118,6 +121,7 @@ class Observation:
     ee_pose: Pose | None = None
     gripper_open: float | None = None
     stamp_ns: int = 0
+    ahead: Ahead | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frames", dict(self.frames))

@@ -93,6 +93,11 @@ class BackendSpec(Spec):
         runtimes_required: it cannot run without a runtime of its family.
         default_runtime: runtime used when the user names none; empty for none.
         capabilities: words accelerations may require of it.
+        conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and says how many of them in
+            `ActionChunk.conditioned_rows`.
+        max_committed_rows: greatest prefix that it was trained to keep; 0 for any number.
+        takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and gripper only (joints
+            cannot be predicted from TCP deltas); it may be given them rolled forward to the end of the running chunk.
     """
 
     kind: ClassVar[str] = "backend"
@@ -106,6 +111,9 @@ class BackendSpec(Spec):
     runtimes_required: bool = False
     default_runtime: str = ""
     capabilities: tuple[str, ...] = ()
+    conditions_on_rows: bool = False
+    max_committed_rows: int = 0
+    takes_predicted_state: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,0 +1,61 @@
+"""How long answers take, and how many rows are played meanwhile."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+WINDOW = 50
+"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not slow the arm for ever."""
+_ENOUGH_FOR_P99 = 100
+"""With fewer samples than this a 99th percentile is a guess; the greatest value is taken instead."""
+
+
+class LatencyWindow:
+    """Latencies from capture to answer [s], the newest `WINDOW` of them. Used from one thread.
+
+    The first answer after a load, a reset or a handover is not typical (caches, allocations). `skip_next` leaves it
+    out, unless nothing else is known.
+    """
+
+    def __init__(self, size: int = WINDOW) -> None:
+        self._values: deque[float] = deque(maxlen=size)
+        self._first: float | None = None
+        self._skip = True
+
+    def skip_next(self) -> None:
+        """Leave the next value out."""
+        self._skip = True
+
+    def add(self, latency_s: float) -> None:
+        """Keep one latency [s]."""
+        if self._skip:
+            self._skip, self._first = False, latency_s
+        else:
+            self._values.append(latency_s)
+
+    @property
+    def is_known(self) -> bool:
+        """More is known than the first answer."""
+        return bool(self._values)
+
+    @property
+    def p50_s(self) -> float | None:
+        """Median [s]; None before the first answer."""
+        return float(np.median(self._values)) if self._values else self._first
+
+    @property
+    def p99_s(self) -> float | None:
+        """99th percentile, or the greatest of few values [s]; None before the first answer."""
+        if not self._values:
+            return self._first
+        if len(self._values) < _ENOUGH_FOR_P99:
+            return max(self._values)
+        return float(np.percentile(self._values, 99))
+
+
+def rows_in(duration_s: float, step_s: float) -> int:
+    """Rows of `step_s` that are played, at the most, in `duration_s`."""
+    return math.ceil(duration_s / step_s - 1e-9)

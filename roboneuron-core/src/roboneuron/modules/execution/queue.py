@@ -1,0 +1,211 @@
+"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are sent, never timed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import ActionChunk, Ahead
+
+F64 = NDArray[np.float64]
+FADE_ROWS = 4
+"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother (simulated, see
+docs/execution.md)."""
+_MEMORY = 512
+"""Sent rows that are remembered; an answer that is older is dropped by its image's age long before."""
+Outcome = Literal["accepted", "withdrawn", "late", "unconditioned"]
+"""What became of an answer. `withdrawn`: made for an earlier instruction or before a stop. `late`: more rows were sent
+since its image than it has. `unconditioned`: it continues rows that were not played as promised (trained prefixes)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One action of a chunk.
+
+    Attributes:
+        vector: float64 (7,), contract units.
+        index, horizon: place in its chunk, and rows of that chunk.
+        captured_ns: capture time of the image that it answers [ns].
+        step_s: period of its chunk [s].
+        is_border: the first of its chunk that is played.
+    """
+
+    vector: F64
+    index: int
+    horizon: int
+    captured_ns: int
+    step_s: float
+    is_border: bool
+
+
+@dataclass(slots=True)
+class _Sent:
+    sent_ns: int
+    epoch: int
+    vector: F64
+
+
+@dataclass(slots=True)
+class RowQueue:
+    """The rows to be sent, oldest first. Not thread-safe: its owner holds a lock.
+
+    Every instruction, emergency stop and hand-over begins a new epoch. Answers to observations of an earlier epoch are
+    dropped, and rows of an earlier one do not count as played.
+
+    Attributes:
+        epoch: of the observations that are taken now.
+        fade_rows: length of the cross-fade.
+    """
+
+    fade_rows: int = FADE_ROWS
+    epoch: int = 0
+    _rows: deque[Row] = field(default_factory=deque)
+    _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
+    _context: Any = None
+    _was_unconditioned: bool = False
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def next(self) -> Row | None:
+        """The row that is sent next."""
+        return self._rows[0] if self._rows else None
+
+    def begin_epoch(self) -> int:
+        """Forget every row, and every answer under way."""
+        self.epoch += 1
+        self.drop()
+        return self.epoch
+
+    def drop(self) -> None:
+        """Forget the rows that are to be sent; answers under way stay valid."""
+        self._rows.clear()
+        self._context = None
+
+    def pop(self, sent_ns: int) -> Row:
+        """Take the next row out, as sent at that time [ns, clock of the stamps]."""
+        row = self._rows.popleft()
+        self._sent.append(_Sent(sent_ns, self.epoch, row.vector))
+        return row
+
+    def note_sent(self, vector: F64, sent_ns: int) -> None:
+        """Another module (the predecessor in a handover) sent a row: it moved the arm as one of ours would have."""
+        self._sent.append(_Sent(sent_ns, self.epoch, vector))
+
+    def sent_since(self, captured_ns: int) -> int:
+        """Rows of this epoch that were sent after that time."""
+        return len(self._sent_after(captured_ns))
+
+    def ahead(self, captured_ns: int, committed_rows: int, step_s: float) -> Ahead | None:
+        """What a backend that conditions on rows is told: the rows since the capture; None when there are none.
+
+        Args:
+            captured_ns: of the observation's image [ns].
+            committed_rows: rows that will have been sent when the answer comes, at the worst.
+            step_s: period of the rows [s].
+        """
+        sent = self._sent_after(captured_ns)
+        rows = [*sent, *(row.vector for row in self._rows)]
+        if not rows:
+            return None
+        # A chunk's row k is aligned with the k-th row sent since its capture, so the running chunk's context is aligned
+        # with what was sent before its border too.
+        start = self._rows[0].index - len(sent) if self._rows else -1
+        has_context = self._context is not None and start >= 0
+        return Ahead(
+            rows=np.array(rows),
+            committed_rows=min(len(rows), committed_rows),
+            step_s=step_s,
+            context=self._context if has_context else None,
+            context_row=max(start, 0),
+        )
+
+    def rows_to_roll(self, measured_ns: int, step_s: float) -> tuple[F64, float]:
+        """What will have moved the TCP between a measurement and the end of the queue.
+
+        Args:
+            measured_ns: when the pose was measured [ns].
+            step_s: period of the rows [s].
+
+        Returns:
+            float64 (N, 7), oldest first, and the share of the first that was carried out at the measurement, 0 .. 1.
+        """
+        period_ns = step_s * 1e9
+        under_way = [sent for sent in self._sent if sent.epoch == self.epoch and sent.sent_ns > measured_ns - period_ns]
+        share = 0.0
+        if under_way and under_way[0].sent_ns < measured_ns:
+            share = (measured_ns - under_way[0].sent_ns) / period_ns
+        rows = [*(sent.vector for sent in under_way), *(row.vector for row in self._rows)]
+        return np.array(rows).reshape(-1, 7), share
+
+    def replace(self, chunk: ActionChunk, captured_ns: int, epoch: int, max_committed_rows: int = 0) -> Outcome:
+        """Let an answer take over from the row that is next.
+
+        Args:
+            chunk: its row 0 is meant for the moment of the capture.
+            captured_ns: of the image that it answers [ns].
+            epoch: in which that image was taken.
+            max_committed_rows: greatest prefix that the backend was trained for; 0 for no bound.
+        """
+        if epoch != self.epoch:
+            return "withdrawn"
+        played = self.sent_since(captured_ns)
+        if played >= len(chunk.actions):
+            return "late"
+        is_overrun = 0 < chunk.conditioned_rows < played and max_committed_rows > 0
+        if is_overrun and not self._was_unconditioned:
+            self._was_unconditioned = True
+            return "unconditioned"
+        self._was_unconditioned = False
+        vectors = chunk.actions[played:]
+        if not chunk.conditioned_rows or is_overrun:
+            vectors = cross_fade([row.vector for row in self._rows], vectors, self.fade_rows)
+        self._rows = deque(_rows(vectors, chunk, captured_ns, first=played))
+        self._context = chunk.context
+        return "accepted"
+
+    def append(self, chunk: ActionChunk, captured_ns: int, epoch: int) -> Outcome:
+        """Let an answer follow whole after the rows that are there."""
+        if epoch != self.epoch:
+            return "withdrawn"
+        self._rows.extend(_rows(chunk.actions, chunk, captured_ns, first=0))
+        self._context = chunk.context
+        return "accepted"
+
+    def _sent_after(self, captured_ns: int) -> list[F64]:
+        return [sent.vector for sent in self._sent if sent.epoch == self.epoch and sent.sent_ns >= captured_ns]
+
+
+def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
+    """Return `new` with its first rows faded in from `old`.
+
+    Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither jumps nor catches up.
+    The gripper's opening is a decision and is never taken half-way: the new value counts from the seam.
+
+    Args:
+        old: float64 (7,) each: what would be played without the new chunk.
+        new: float64 (N, 7).
+        rows: length of the fade; at most as many as both have.
+    """
+    count = min(rows, len(old), len(new))
+    if count == 0:
+        return new
+    faded = np.array(new)
+    share = (np.arange(count) + 1.0)[:, None] / (count + 1.0)
+    before = np.stack(list(islice(old, count)))
+    faded[:count, :6] = (1.0 - share) * before[:, :6] + share * new[:count, :6]
+    return faded
+
+
+def _rows(vectors: F64, chunk: ActionChunk, captured_ns: int, first: int) -> list[Row]:
+    return [
+        Row(vector, first + i, len(chunk.actions), captured_ns, chunk.step_s, is_border=i == 0)
+        for i, vector in enumerate(vectors)
+    ]
