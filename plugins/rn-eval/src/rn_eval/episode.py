@@ -159,6 +159,7 @@ class EpisodeClock:
         if answer.chunk is None:
             return
         self._answers[self.executor.answer(answer.prediction, answer.chunk, self._ns(self._tick))] += 1
+        self._modes[answer.prediction.mode] += 1
         for name, value in answer.chunk.metrics.items():
             total, count = self._sums.get(name, (0.0, 0))
             self._sums[name] = (total + float(value), count + 1)
@@ -175,7 +176,6 @@ class EpisodeClock:
         if row is None:
             return
         self._rows += 1
-        self._modes[self.executor.status().choice.mode] += 1
         self._digest.update(row.vector.tobytes())
         word = self.scene.act(row.vector, self._now_s)
         if word:

@@ -21,7 +21,7 @@ class Outcome(BaseModel):
         limited: actions by what the limits did to them.
         answers: chunks by what became of them (accepted, late ...).
         starved_periods: periods without an action to play.
-        modes: played rows by execution mode in force.
+        modes: answered predictions by the execution mode that they were begun in.
         metrics: mean of each number that the backend tells ("tokens_kept").
         facts: of the suite's judge.
         digest: SHA-256 of all actions played and of the simulator's last state.
