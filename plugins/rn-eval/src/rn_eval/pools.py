@@ -131,7 +131,7 @@ class OnRay:
         if address is None:
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
             # So many processes as were asked for are to run, however few CPUs the machine has.
-            settings |= {"num_cpus": cpus, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+            settings |= {"num_cpus": cpus, "include_dashboard": False}
         try:
             self._ray.init(address=address, logging_level="ERROR", **settings)
         except ConnectionError as error:
