@@ -21,11 +21,12 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
-  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))
+  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
+  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-fr3 demo-bases test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -49,6 +50,11 @@ bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load o
 	$(PYTHON) -m venv .venv-fr3sim
 	.venv-fr3sim/bin/python -m pip install --quiet --disable-pip-version-check franka-sim==1.1.7 numpy==1.26.4
 	@touch $@
+eval-demo: $(VENV)/.develop ## the servo policy on 200 seeds, then by execution mode and latency: ledger, table, report
+	@echo "No learned policy is in the repository: this measures the classical policy 'servo', which has no pruning presets."
+	$(BIN)/roboneuron eval run --backend servo --episodes 200 --seed 10000 --workers $(JOBS) --out out/eval/servo $(ARGS)
+	$(BIN)/roboneuron eval run --backend servo --episodes 50 --seed 10000 --workers $(JOBS) --out out/eval/servo-latency \
+	  --execution sequential,overlap --latency 0 --latency 112ms --latency 250ms $(ARGS)
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
@@ -91,6 +97,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_direct.py
 	$(BIN)/python benchmarks/bench_servo.py
 	$(BIN)/python benchmarks/bench_servo.py --added-latency-ms 300
+	$(BIN)/python benchmarks/bench_eval.py
 	$(BIN)/python benchmarks/bench_interfaces.py
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers

@@ -11,7 +11,7 @@ import pytest
 
 from rn_testing import PackageCase, Rule, Verdict, verify
 from rn_testing.automatic import make_case
-from rn_testing.rules import RULES
+from rn_testing.rules import RULES, rules_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import PluginRecord, Status
 from roboneuron.plugins.specs import Spec
@@ -40,7 +40,7 @@ def test_every_installed_plugin_keeps_the_package_rules(plugin: PluginRecord, ru
     [
         pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}")
         for s in OFFERS
-        for r in RULES[s.kind]
+        for r in rules_of(s.kind)
         if not r.id.endswith(LONG)
     ],
 )
@@ -62,7 +62,7 @@ def test_every_installed_plugin_needs_this_version_of_the_core(plugin: PluginRec
 
 @pytest.mark.parametrize("spec", OFFERS, ids=lambda spec: f"{spec.kind} {spec.name}")
 def test_what_has_long_rules_has_contract_tests_in_its_package(spec: Spec):
-    if not any(rule.id.endswith(LONG) for rule in RULES[spec.kind]):
+    if not any(rule.id.endswith(LONG) for rule in rules_of(spec.kind)):
         pytest.skip("no rule is long")
     (package,) = {offer.distribution for offer in REGISTRY.all_offers if offer.spec is spec}
     written = "".join(path.read_text() for path in (PLUGINS / package / "tests").glob("test_*.py"))

@@ -1,4 +1,4 @@
-"""A feature may bring hooks of its own; two plugins may not own one section."""
+"""A feature or a command may bring hooks of its own; two plugins may not own one section."""
 
 from __future__ import annotations
 
@@ -66,8 +66,10 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         del sys.modules[name]
 
 
-def test_a_plugin_offers_what_a_feature_asks_for(write):
+@pytest.mark.parametrize("kind", ["Feature", "Command"])
+def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
     feature = EVALUATION.replace("{module}", "evaluation_one").replace("{table}", "HOOKS")
+    feature = feature.replace("Feature", kind).replace("features", f"{kind.lower()}s")
     registry = discover_from(write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature))
     assert [p.status for p in registry.plugins] == [Status.READY, Status.READY]
     assert registry.get("suite", "cubes").tasks == 3

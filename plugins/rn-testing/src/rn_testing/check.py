@@ -16,7 +16,7 @@ from typing import Any, TextIO, TypedDict
 from rn_testing.automatic import make_case
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Outcome, Rule, Verdict, verify
-from rn_testing.rules import RULES
+from rn_testing.rules import RULES, rules_of
 from roboneuron.errors import RoboNeuronError
 from roboneuron.plugins.discovery import discover
 
@@ -41,9 +41,9 @@ def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]
     for kind, name in offers:
         label = f"{kind} {name}"
         try:
-            yield label, make_case(specs[kind, name], request["options"]), RULES[kind]
+            yield label, make_case(specs[kind, name], request["options"]), rules_of(kind)
         except RoboNeuronError as error:
-            yield label, error, RULES[kind]
+            yield label, error, rules_of(kind)
 
 
 def decide(rule: Rule[Any], case: object) -> Outcome:

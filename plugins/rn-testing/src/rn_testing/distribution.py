@@ -45,9 +45,9 @@ if threading.active_count() > threads: effects.append("starts threads")
 if spent_s > 1.0: effects.append(f"computes for {spent_s:.1f} s")
 sys.stdout = out
 loaded = sorted(set(sys.modules) - before)
-from roboneuron.plugins.discovery import read_module
+from roboneuron.plugins.discovery import known_hooks, read_module
 try:
-    read_module(module)
+    read_module(module, known_hooks())
     problem = ""
 except Exception as error:
     problem = str(error)

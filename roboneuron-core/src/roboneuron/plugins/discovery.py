@@ -23,7 +23,7 @@ from roboneuron.plugins import availability, hookspecs
 from roboneuron.plugins.descriptor import check_spec, is_compatible
 from roboneuron.plugins.hookspecs import PROJECT, Hooks
 from roboneuron.plugins.registry import SEVERITY, Offer, PluginRecord, Registry, Status
-from roboneuron.plugins.specs import CONTRACT_VERSION, FeatureSpec, Spec
+from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
 _MARK = f"{PROJECT}_impl"
@@ -60,12 +60,12 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
     hooks = Hooks()
     records: list[PluginRecord] = []
     waiting: list[_Claim] = []
-    for claim in claims:  # what features bring has to be known before any other plugin can offer it
+    for claim in claims:  # what they bring has to be known before any other plugin can offer it
         if _normalise(claim.distribution) in skipped:
             records.append(_record(claim, Status.DISABLED, "Disabled by the configuration."))
             continue
         try:
-            hooks = hooks.extended(_features(claim))
+            hooks = hooks.extended(_bringing_hooks(claim))
         except PluginError as error:
             records.append(_record(claim, Status.FAILED, str(error), _trace(error)))
         else:
@@ -74,13 +74,25 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
     return _settle(sorted(records, key=lambda r: (r.distribution, r.module)), hooks)
 
 
-def _features(claim: _Claim) -> tuple[FeatureSpec, ...]:
-    """Features with hooks of their own; whatever else is wrong with the plugin is told by `_examine`."""
+def known_hooks() -> Hooks:
+    """The hooks of core and those that installed plugins bring; a plugin that fails brings none."""
+    hooks = Hooks()
+    for point in entry_points(group=PROJECT):
+        try:
+            hooks = hooks.extended(_bringing_hooks(_identify(point)))
+        except PluginError:
+            continue
+    return hooks
+
+
+def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
+    """Features and commands with hooks of their own; what else is wrong with the plugin is told by `_examine`."""
     try:
         with redirect_stdout(sys.stderr):
-            offer = getattr(claim.point.load(), hookspecs.HOOKS["feature"], None)
-            offered = offer() if offer is not None else ()
-        return tuple(spec for spec in offered if isinstance(spec, FeatureSpec) and spec.hooks is not None)
+            module = claim.point.load()
+            offers = [getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")]
+            offered = [spec for offer in offers for spec in offer()]
+        return tuple(s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
     except (Exception, SystemExit):
         return ()
 

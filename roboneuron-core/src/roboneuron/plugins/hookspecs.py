@@ -140,35 +140,37 @@ class Hooks:
         """Descriptor class by kind."""
         return {spec.kind: spec for spec in self.specs.values()}
 
-    def extended(self, features: Iterable[FeatureSpec]) -> Hooks:
-        """These hooks and those that the features bring.
+    def extended(self, bringing: Iterable[FeatureSpec | CommandSpec]) -> Hooks:
+        """These hooks and those that features and commands bring.
 
         Raises:
-            PluginError: a feature's `hooks` cannot be imported, is no mapping from hook names to descriptor classes,
+            PluginError: their `hooks` cannot be imported, is no mapping from hook names to descriptor classes,
                 or claims a hook or a kind that is there already.
         """
         specs, containers = dict(self.specs), list(self.containers)
-        for feature in features:
-            if feature.hooks is None:
+        for bringer in bringing:
+            if bringer.hooks is None:
                 continue
-            module, brought = _load(feature)
+            who = f"{bringer.kind.capitalize()} {bringer.name!r}"
+            module, brought = _load(bringer)
             known = {spec.kind for spec in specs.values()}
             for hook, spec in brought.items():
                 if hook in specs or spec.kind in known:
-                    raise PluginError(f"Feature {feature.name!r} brings the hook {hook}, which is there already.")
+                    raise PluginError(f"{who} brings the hook {hook}, which is there already.")
                 if not callable(getattr(module, hook, None)):
-                    raise PluginError(f"Feature {feature.name!r} names the hook {hook}, but does not specify it.")
+                    raise PluginError(f"{who} names the hook {hook}, but does not specify it.")
                 specs[hook] = spec
             containers.append(module)
         return Hooks(specs=specs, containers=tuple(containers))
 
 
-def _load(feature: FeatureSpec) -> tuple[ModuleType, Mapping[str, type[Spec]]]:
-    assert feature.hooks is not None
-    if not TARGET_PATTERN.fullmatch(feature.hooks):
-        raise PluginError(f"The `hooks` of feature {feature.name!r} is {feature.hooks!r}, expected 'module:attribute'.")
-    name, _, attribute = feature.hooks.partition(":")
-    who = f"`hooks` of feature {feature.name!r} ({feature.hooks})"
+def _load(bringer: FeatureSpec | CommandSpec) -> tuple[ModuleType, Mapping[str, type[Spec]]]:
+    assert bringer.hooks is not None
+    of = f"`hooks` of {bringer.kind} {bringer.name!r}"
+    if not TARGET_PATTERN.fullmatch(bringer.hooks):
+        raise PluginError(f"The {of} is {bringer.hooks!r}, expected 'module:attribute'.")
+    name, _, attribute = bringer.hooks.partition(":")
+    who = f"{of} ({bringer.hooks})"
     try:
         module = import_module(name)
         brought = getattr(module, attribute)

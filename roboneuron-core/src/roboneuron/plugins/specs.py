@@ -260,9 +260,15 @@ class FeatureSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CommandSpec(Spec):
-    """A command of `roboneuron`, called by its name; `config` is not used."""
+    """A command of `roboneuron`, called by its name; `config` is not used.
+
+    Attributes:
+        hooks: as in FeatureSpec.
+    """
 
     kind: ClassVar[str] = "command"
+
+    hooks: str | None = None
 
 
 KINDS: dict[str, type[Spec]] = {

@@ -32,4 +32,10 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
 }
 """Rules by kind of descriptor, and those of packages."""
 
-__all__ = ["RULES"]
+
+def rules_of(kind: str) -> tuple[Rule[Any], ...]:
+    """Rules by kind of descriptor; of a kind that another plugin has brought, those of every descriptor."""
+    return RULES.get(kind, descriptor.RULES)
+
+
+__all__ = ["RULES", "rules_of"]

@@ -1,0 +1,1 @@
+"""Evaluation of policies over many simulated episodes."""

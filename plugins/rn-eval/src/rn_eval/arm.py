@@ -1,0 +1,92 @@
+"""The path from action to joint command, as the control module of a running robot has it: controller and limits.
+
+The module is a ROS node on the wall clock; here the same controller and limiter run by the clock of a simulation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_eval.suite import Setup
+from roboneuron import Action, Hold, JointCommand, JointSample, Posture, PostureInspector
+from roboneuron.gate.motion import MotionLimiter, motion_rules
+
+F64 = NDArray[np.float64]
+
+_HOLD_DURATION_S = 0.05
+_SHORTEST_STEP_S, _FIRST_STEP_S = 0.02, 0.1
+_HOLD_SHARE = 0.75
+"""These four are the control module's (`roboneuron.modules.control`)."""
+
+
+class DeployedArm:
+    """Controller and motion limiter of one episode. Used from one thread."""
+
+    def __init__(self, setup: Setup) -> None:
+        """Start without a setpoint, as control does after `activate`.
+
+        Raises:
+            ConfigurationError: the limits do not fit the robot, or there is no section [control].
+        """
+        control = setup.config.control
+        assert control is not None  # the plan has one
+        self._timeout_s = control.action_timeout_s
+        self._names = setup.profile.arm_joints
+        self._controller = setup.controller
+        inspect = setup.controller.inspect if isinstance(setup.controller, PostureInspector) else self._look
+        self._limiter = MotionLimiter(
+            motion_rules(setup.config.limits, setup.profile),
+            setup.profile,
+            setup.controller.forward,
+            inspect,
+            immediate=control.command == "joint_state",
+            longest_s=setup.config.robot.server_timeout_s,
+        )
+        self._action_s = -1e9
+        self._holding = True
+
+    def command(self, vector: F64, joints: JointSample, now_s: float) -> tuple[JointCommand | None, str]:
+        """What is sent for an action, and a word for what stopped or changed it.
+
+        Args:
+            vector: float64 (7,), contract units.
+            joints: measured now.
+            now_s: simulated time [s].
+
+        Returns:
+            A command (which may be a hold), or None when it is refused and the one before goes on; and "", "scaled" or
+            the code of the hold.
+        """
+        since_s = now_s - self._action_s
+        step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._timeout_s else _FIRST_STEP_S
+        outcome: JointCommand | Hold | None = self._controller.compute(Action.from_vector(vector), joints, step_s)
+        word = ""
+        if isinstance(outcome, JointCommand):
+            verdict = self._limiter.limit(outcome, joints, now_s)
+            outcome = verdict.command
+            word = f"limit_{verdict.acted[-1]}" if outcome is None else "scaled" if verdict.acted else ""
+        if outcome is None:
+            return None, word
+        self._action_s = now_s
+        if isinstance(outcome, Hold):
+            return self._hold(joints, now_s), outcome.code
+        self._holding = False
+        return outcome, word
+
+    def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
+        """A hold when actions have ceased; None otherwise, and while it holds already."""
+        if self._holding or now_s - self._action_s <= self._timeout_s * _HOLD_SHARE:
+            return None
+        return self._hold(joints, now_s)
+
+    def _hold(self, joints: JointSample, now_s: float) -> JointCommand | None:
+        if self._holding:
+            return None
+        self._holding = True
+        index = [joints.names.index(name) for name in self._names]
+        self._limiter.rest(joints, now_s)
+        return JointCommand(names=self._names, position=joints.position[index], duration_s=_HOLD_DURATION_S)
+
+    def _look(self, joints: JointSample) -> Posture:
+        return Posture(pose=self._controller.forward(joints))

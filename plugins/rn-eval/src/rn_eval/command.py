@@ -1,0 +1,217 @@
+"""The command `roboneuron eval`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rn_eval.plan import EvalPlan
+    from rn_eval.pools import Pool
+
+EXECUTIONS = ("sequential", "overlap", "rtc", "predicted-state", "auto")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """A list on the command line."""
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+class Eval:
+    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives crashes, a report."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron eval`."""
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
+        )
+        run = actions.add_parser("run", help="run episodes, or what a run that was ended has left to do")
+        self._configure_run(run)
+        resume = actions.add_parser("resume", help="go on with a run, as it was begun")
+        resume.add_argument("directory", type=Path, help="its folder")
+        self._configure_workers(resume)
+        report = actions.add_parser("report", help="write the report of one or several runs")
+        report.add_argument("directories", type=Path, nargs="+", metavar="DIRECTORY", help="folders of runs")
+        report.add_argument("--out", type=Path, help="where it goes; default: the first folder")
+        report.add_argument(
+            "--paper-table", action="store_true", help="print success by suite and speed-up only, write nothing"
+        )
+        actions.add_parser("suites", help="list the installed suites")
+
+    def _configure_run(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("--suite", default="cubes", help="an installed suite (default: cubes)")
+        add("--suite-option", action="append", default=[], metavar="NAME=VALUE", help="an option of the suite")
+        add("--backend", default="servo", help="the policy (default: servo)")
+        add("--checkpoint", help="folder of the model's files")
+        add("--runtime", help="runtime; default: the backend's own")
+        add("--option", action="append", default=[], metavar="PLUGIN.NAME=VALUE", help="an option of any plugin")
+        add("--presets", type=_names, default=("none",), metavar="A,B", help='acceleration presets; "none" for none')
+        add(
+            "--execution", type=_names, default=("sequential",), metavar="A,B",
+            help=f"how chunks are played: {', '.join(EXECUTIONS)}",
+        )  # fmt: skip
+        add(
+            "--latency", action="append", default=None, metavar="L",
+            help="what a prediction takes on the episode's clock: 0 (default), 112ms, lognormal:112ms,0.2, "
+            "normal:112ms,10ms, file:PATH or measured; may be given several times",
+        )  # fmt: skip
+        add("--episodes", type=int, default=50, help="of each variant (default: 50)")
+        add("--seed", type=int, default=0, help="of the first episode (default: 0)")
+        add("--config", type=Path, help="a roboneuron.toml: limits, control and options of plugins hold")
+        add("--strips", choices=("failures", "all", "none"), default="failures", help="film strips to keep")
+        add("--out", type=Path, default=Path("out/eval"), help="folder of the run (default: out/eval)")
+        self._configure_workers(parser)
+
+    def _configure_workers(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("--workers", type=int, default=1, help="episodes at a time; more than one needs Ray (default: 1)")
+        add("--ray-address", help="a Ray cluster instead of this machine")
+        add("--threads", type=int, default=1, help="threads of each worker's numerical libraries (default: 1)")
+        add("--policy-actors", type=int, default=0, help="share the policy of so many processes, in batches (Ray)")
+        add("--policy-gpus", type=float, default=0.0, help="GPUs of each process that holds a policy (Ray)")
+        add("--retry-errors", action="store_true", help="run episodes that crashed once more")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron eval`; status 1 when an episode crashed."""
+        if arguments.action == "suites":
+            return _list_suites()
+        if arguments.action == "report":
+            return _report(arguments)
+        if arguments.workers < 1 or arguments.threads < 1:
+            raise ConfigurationError("--workers and --threads are at least 1.")
+        _limit_threads(arguments.threads)
+        return _run(arguments)
+
+
+def _limit_threads(count: int) -> None:
+    """Before numpy or torch is imported: results of some models depend on the number of threads."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(count)
+    torch: Any = sys.modules.get("torch")
+    if torch is not None:
+        torch.set_num_threads(count)
+
+
+def _run(arguments: Namespace) -> int:
+    from rich.console import Console
+
+    from rn_eval.evaluate import evaluate
+    from rn_eval.report import write_report
+    from rn_eval.tables import HEADINGS, cells, grid
+
+    console = Console(highlight=False)
+    directory: Path = arguments.directory if arguments.action == "resume" else arguments.out
+    plan = _resumed(arguments) if arguments.action == "resume" else _planned(arguments)
+    records = evaluate(plan, directory, _pool(plan, arguments), console, retry_errors=arguments.retry_errors)
+    summary = write_report([directory], directory)
+    print(grid(HEADINGS, [cells(row) for row in summary.rows]))
+    print(f"\nreport: {directory / 'report.html'}")
+    return 1 if any(record.outcome.status == "error" for record in records) else 0
+
+
+def _pool(plan: EvalPlan, arguments: Namespace) -> Callable[[], Pool]:
+    from rn_eval.pools import InProcess, OnRay
+
+    def make() -> Pool:
+        if arguments.workers == 1 and arguments.ray_address is None and not arguments.policy_actors:
+            return InProcess(plan)
+        return OnRay(
+            plan,
+            workers=arguments.workers,
+            address=arguments.ray_address,
+            policy_actors=arguments.policy_actors,
+            policy_gpus=arguments.policy_gpus,
+        )
+
+    return make
+
+
+def _resumed(arguments: Namespace) -> EvalPlan:
+    from rn_eval.ledger import read_plan
+
+    plan = read_plan(arguments.directory)
+    _limit_threads(plan.threads)
+    return plan
+
+
+def _planned(arguments: Namespace) -> EvalPlan:
+    from pydantic import ValidationError
+
+    from rn_eval.plan import EvalPlan, fingerprint, installed_versions
+    from roboneuron.config import load_config
+
+    config = load_config(arguments.config).model_dump(mode="json")
+    for name, value in _pairs(arguments.option, "--option PLUGIN.NAME=VALUE").items():
+        plugin, _, option = name.partition(".")
+        if not option:
+            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
+        config["plugins"].setdefault(plugin, {})[option] = value
+    if config.get("control") is None:
+        raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
+    try:
+        return EvalPlan(
+            suite=arguments.suite,
+            suite_options=_pairs(arguments.suite_option, "--suite-option NAME=VALUE"),
+            backend=arguments.backend,
+            checkpoint=arguments.checkpoint and str(Path(arguments.checkpoint).resolve()),
+            checkpoint_sha256=fingerprint(arguments.checkpoint),
+            runtime=arguments.runtime,
+            config=config,
+            presets=arguments.presets,
+            executions=arguments.execution,
+            latencies=tuple(dict.fromkeys(arguments.latency or ("0",))),
+            episodes=arguments.episodes,
+            first_seed=arguments.seed,
+            threads=arguments.threads,
+            strips=arguments.strips,
+            versions=installed_versions(),
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigurationError(
+            f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}."
+        ) from None
+
+
+def _pairs(texts: Sequence[str], form: str) -> dict[str, Any]:
+    """NAME=VALUE; a value is JSON where it can be read as such, else text."""
+    pairs: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigurationError(f"{text!r} is not of the form {form}.")
+        try:
+            pairs[name] = json.loads(value)
+        except ValueError:
+            pairs[name] = value
+    return pairs
+
+
+def _report(arguments: Namespace) -> int:
+    from rn_eval.report import load, write_report
+    from rn_eval.tables import HEADINGS, cells, grid, paper_table
+
+    if arguments.paper_table:
+        print(paper_table(load(arguments.directories)[0]))
+        return 0
+    output = arguments.out or arguments.directories[0]
+    summary = write_report(arguments.directories, output)
+    print(grid(HEADINGS, [cells(row) for row in summary.rows]))
+    print(f"\nreport: {output / 'report.html'}")
+    return 0
+
+
+def _list_suites() -> int:
+    from roboneuron.plugins.discovery import discover
+
+    for name, spec in discover().specs("suite").items():
+        print(f"{name}  {spec.summary}")
+    return 0

@@ -1,0 +1,186 @@
+"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the simulator judges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rn_eval.arm import DeployedArm
+from rn_eval.suite import Episode, Judgement, Setup
+from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
+from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from roboneuron import Frame, JointSample, Observation
+
+F64 = NDArray[np.float64]
+
+PLAIN = "pick up the {colour} cube"
+WORDINGS = (
+    PLAIN,
+    "grab the {colour} cube",
+    "lift the {colour} block",
+    "please take the {colour} cube",
+    "fetch the small {colour} block",
+    "grasp the {colour} box and lift it",
+    "get the {colour} cube from the table",
+    "raise the {colour} cube",
+)
+"""What `wordings = "varied"` draws from."""
+_DRAW = 0x63756265
+"""Separates this suite's draws from those of the scene, which has the same seed."""
+
+
+class CubesOptions(BaseModel):
+    """Options of the suite `cubes`, given as `--suite-option NAME=VALUE`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    objects: int = Field(default=4, ge=1, le=6, description="cubes on the table; all but the named one distract")
+    colours: tuple[str, ...] = Field(default=DEFAULT_COLOURS, description="colours that the cubes are drawn from")
+    wordings: Literal["plain", "varied"] = Field(default="plain", description="one sentence, or one of eight")
+    image_px: int = Field(default=224, ge=64, le=1024, description="width and height of the images")
+    camera_hz: float = Field(default=30.0, gt=0, le=120, description="images per simulated second")
+    engine: Literal["auto", "pybullet", "mujoco"] = Field(default="auto", description="physics engine")
+    time_limit_s: float = Field(default=30.0, gt=0, le=600, description="an episode fails after this long")
+    held_s: float = Field(default=1.0, gt=0, le=10, description="how long the cube must be held 10 cm up")
+
+    @model_validator(mode="after")
+    def _check(self) -> CubesOptions:
+        unknown = [colour for colour in self.colours if colour not in RGBA_BY_COLOUR]
+        if unknown or len(set(self.colours)) != len(self.colours):
+            raise ValueError(f"colours are {list(self.colours)}, expected different ones of {list(RGBA_BY_COLOUR)}")
+        if self.objects > len(self.colours):
+            raise ValueError(f"{self.objects} objects need as many colours, {len(self.colours)} are given")
+        return self
+
+
+class Cubes:
+    """Follows the protocol `Suite`. The named colour changes from seed to seed in turn."""
+
+    def __init__(self, config: CubesOptions | None) -> None:
+        self._options = config or CubesOptions()
+
+    def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
+        """One per seed, `first_seed` first."""
+        return [self._episode(seed) for seed in range(first_seed, first_seed + count)]
+
+    def open(self, episode: Episode, setup: Setup) -> CubesScene:
+        """Build the world and put the cubes where the seed says."""
+        target = self._target(episode.seed)
+        return CubesScene(episode, target, self._on_table(episode.seed, target), self._options, setup)
+
+    def _target(self, seed: int) -> str:
+        return self._options.colours[seed % len(self._options.colours)]
+
+    def _on_table(self, seed: int, target: str) -> tuple[str, ...]:
+        """Colours on the table, in the order of the option; with all of them the scene is that of `roboneuron demo`."""
+        others = [colour for colour in self._options.colours if colour != target]
+        drawn = np.random.default_rng([_DRAW, seed]).permutation(others)[: self._options.objects - 1]
+        return tuple(colour for colour in self._options.colours if colour == target or colour in drawn)
+
+    def _episode(self, seed: int) -> Episode:
+        target = self._target(seed)
+        number = 0
+        if self._options.wordings == "varied":
+            number = int(np.random.default_rng([_DRAW + 1, seed]).integers(len(WORDINGS)))
+        return Episode(
+            task=f"pick-{target}",
+            seed=seed,
+            instruction=WORDINGS[number].format(colour=target),
+            time_limit_s=self._options.time_limit_s,
+        )
+
+
+class CubesScene:
+    """One open scene; follows the protocol `Scene`."""
+
+    tick_s = STEP_S
+
+    def __init__(
+        self, episode: Episode, target: str, colours: Sequence[str], options: CubesOptions, setup: Setup
+    ) -> None:
+        """Build the world. Raises ConfigurationError when the engine is not installed."""
+        self.camera_ticks = max(1, round(1.0 / (options.camera_hz * STEP_S)))
+        self._episode, self._target, self._options, self._setup = episode, target, options, setup
+        size = options.image_px
+        self._calibrations = {role: camera.calibration_at(size, size) for role, camera in setup.cameras.items()}
+        self._arm = DeployedArm(setup)
+        self._simulation = Simulation(episode.seed, colours=colours, engine=options.engine)
+        self._simulation.open()
+
+    def observe(self, stamp_ns: int) -> Observation:
+        """Pictures of every camera and the measured state, taken at the same moment."""
+        size = self._options.image_px
+        frames = {
+            role: Frame(
+                camera=camera.name,
+                image=self._simulation.render(camera.name, size, size),
+                stamp_ns=stamp_ns,
+                frame_id=camera.frame_id,
+                calibration=self._calibrations[role],
+            )
+            for role, camera in self._setup.cameras.items()
+        }
+        state: Mapping[str, object] = {}
+        if self._setup.needs_state:
+            joints, gripper = self._joints(stamp_ns), self._setup.profile.gripper
+            finger = None if gripper is None else joints.position[joints.names.index(gripper.joint)]
+            state = {
+                "joints": joints,
+                "ee_pose": self._setup.controller.forward(joints),
+                "gripper_open": None if gripper is None or finger is None else gripper.to_opening(float(finger)),
+            }
+        return Observation(frames=frames, instruction=self._episode.instruction, stamp_ns=stamp_ns, **state)  # type: ignore[arg-type]
+
+    def act(self, vector: F64, now_s: float) -> str:
+        """Through controller and limits to the simulated driver."""
+        command, word = self._arm.command(vector, self._joints(round(now_s * 1e9)), now_s)
+        if command is not None:
+            self._simulation.set_target(command.names, command.position, command.duration_s)
+        return word
+
+    def watch(self, now_s: float) -> None:
+        """Hold the arm when actions have ceased."""
+        command = self._arm.watch(self._joints(round(now_s * 1e9)), now_s)
+        if command is not None:
+            self._simulation.set_target(command.names, command.position, command.duration_s)
+
+    def advance(self, ticks: int) -> None:
+        """Step the physics."""
+        self._simulation.step(ticks)
+
+    def judge(self) -> Judgement:
+        """Success: the named cube was held long enough. Failure: another one was."""
+        cubes = self._simulation.cubes()
+        held = next((name for name, cube in cubes.items() if cube.held_s >= self._options.held_s), None)
+        highest = max(cubes.values(), key=lambda cube: cube.lifted_m)
+        facts: dict[str, str | float] = {
+            "target": self._target,
+            "objects": float(len(cubes)),
+            "lifted_cm": round(cubes[self._target].lifted_m * 100, 2),
+        }
+        if highest.lifted_m >= 0.02:  # something was taken up: was it what was named?
+            facts["right_object"] = float(highest.name == self._target)
+        if held == self._target:
+            return Judgement(success=True, is_over=True, facts=facts)
+        reason = f"The {self._target} cube was lifted by {facts['lifted_cm']:.1f} cm when time was up."
+        if held is not None:
+            reason = f"The {held} cube was lifted instead of the {self._target} one."
+        return Judgement(success=False, is_over=held is not None, reason=reason, facts=facts)
+
+    def state(self) -> bytes:
+        """Joints and cubes, bit for bit."""
+        poses = self._simulation.world.cube_poses()
+        cubes = b"".join(np.concatenate(poses[name]).tobytes() for name in sorted(poses))
+        return self._simulation.joint_positions().tobytes() + cubes
+
+    def close(self) -> None:
+        """Destroy the world."""
+        self._simulation.close()
+
+    def _joints(self, stamp_ns: int) -> JointSample:
+        position, velocity = self._simulation.joint_states()
+        return JointSample(names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns)

@@ -1,0 +1,52 @@
+"""A run: the episodes that the ledger lacks, on a pool of workers, into the ledger."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from rn_eval.ledger import Ledger
+from rn_eval.plan import EvalPlan
+from rn_eval.pools import Pool
+from rn_eval.progress import ProgressView
+from rn_eval.record import Record
+from rn_eval.runner import refuse_early
+from roboneuron.plugins.discovery import discover
+
+
+def evaluate(
+    plan: EvalPlan, directory: Path, pool: Callable[[], Pool], console: Console, *, retry_errors: bool = False
+) -> list[Record]:
+    """Run what is missing and return the records of the plan's episodes.
+
+    Args:
+        plan: what is to be there in the end.
+        directory: of the ledger; a run that was ended in any way goes on where it was.
+        pool: makes the workers; called only when something is missing.
+        console: for progress.
+        retry_errors: run episodes that crashed once more.
+
+    Raises:
+        RoboNeuronError: the plan does not fit, the ledger is another's, or a policy cannot be loaded.
+    """
+    refuse_early(plan)
+    episodes = plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)
+    jobs = list(plan.jobs(episodes))
+    with Ledger(directory) as ledger:
+        ledger.open(plan)
+        if ledger.cut_bytes:
+            console.print(f"A line that was cut short ({ledger.cut_bytes} bytes) is removed; its episode is run again.")
+        done = ledger.records
+        crashed = {key for key, record in done.items() if record.outcome.status == "error"} if retry_errors else set()
+        missing = [job for job in jobs if job.key not in done or job.key in crashed]
+        there = [done[job.key] for job in jobs if job.key in done and job.key not in crashed]
+        if there and missing:
+            console.print(f"{len(there)} of {len(jobs)} episodes are in the ledger; {len(missing)} are left.")
+        if missing:
+            with ProgressView(console, plan.variants, len(jobs), there) as progress, pool() as workers:
+                for finished in workers.run(missing):
+                    ledger.add(finished.record, finished.strip)
+                    progress.add(finished.record)
+        return [ledger.records[job.key] for job in jobs]

@@ -1,0 +1,50 @@
+"""Film strips: a few of the images that the policy saw, side by side."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+_MOST = 32
+_SHOWN = 6
+_HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 16, 3
+
+
+class Film:
+    """Keeps at most 32 images of an episode, evenly spread; references only, nothing is copied."""
+
+    def __init__(self) -> None:
+        self._frames: list[tuple[float, str, NDArray[np.uint8]]] = []
+        self._stride, self._count = 1, 0
+
+    def add(self, at_s: float, caption: str, image: NDArray[np.uint8]) -> None:
+        """Offer an image, uint8 (H, W, 3), of simulated time `at_s`."""
+        if self._count % self._stride == 0:
+            self._frames.append((at_s, caption, image))
+        self._count += 1
+        if len(self._frames) > _MOST:
+            self._frames = self._frames[::2]
+            self._stride *= 2
+
+    def strip(self, last: tuple[float, str, NDArray[np.uint8]] | None = None) -> bytes:
+        """A PNG of six images, the first and the last among them; b"" without any."""
+        frames = [*self._frames, *([last] if last else [])]
+        if not frames:
+            return b""
+        count = min(_SHOWN, len(frames))
+        chosen = [frames[round(i * (len(frames) - 1) / max(1, count - 1))] for i in range(count)]
+        images = [Image.fromarray(image) for _, _, image in chosen]
+        images = [i.resize((max(1, round(i.width * _HEIGHT_PX / i.height)), _HEIGHT_PX)) for i in images]
+        width = sum(i.width + _MARGIN_PX for i in images) - _MARGIN_PX
+        sheet = Image.new("RGB", (width, _HEIGHT_PX + _CAPTION_PX), "white")
+        draw, x = ImageDraw.Draw(sheet), 0
+        for (at_s, caption, _), image in zip(chosen, images, strict=True):
+            sheet.paste(image, (x, 0))
+            draw.text((x + 2, _HEIGHT_PX + 2), f"{at_s:.1f} s {caption}"[: image.width // 6], fill="black")
+            x += image.width + _MARGIN_PX
+        buffer = io.BytesIO()
+        sheet.quantize(128).save(buffer, "PNG", optimize=True)
+        return buffer.getvalue()

@@ -1,0 +1,76 @@
+"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from a distribution."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from roboneuron import ConfigurationError
+
+MEASURED = "measured"
+Draw = Callable[[float], float]
+"""From the measured duration of a prediction [s] to the one that counts [s]."""
+_TIME = r"(\d+(?:\.\d+)?)(ms|s)?"
+_FORMS = "0, 112ms, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the logarithm), file:PATH, measured"
+
+
+def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
+    """Return what makes an episode's draws from its random generator.
+
+    Args:
+        text: one of the forms above; a plain number is in seconds. `file:PATH` holds one latency [s] a line and is
+            drawn from with replacement.
+
+    Raises:
+        ConfigurationError: not one of these forms.
+    """
+    kind, _, rest = text.partition(":")
+    if text == MEASURED:
+        return lambda random: lambda measured_s: measured_s
+    if kind == "file":
+        return _from_file(Path(rest))
+    if kind in ("normal", "lognormal"):
+        centre, _, spread = rest.partition(",")
+        middle_s = _seconds(centre, text)
+        if kind == "normal":
+            deviation_s = _seconds(spread, text)
+            return lambda random: lambda _: max(0.0, middle_s + deviation_s * random.standard_normal())
+        sigma = _seconds(spread, text)
+        return lambda random: lambda _: middle_s * math.exp(sigma * random.standard_normal())
+    constant_s = _seconds(text, text)
+    return lambda random: lambda _: constant_s
+
+
+def _seconds(value: str, text: str) -> float:
+    found = re.fullmatch(_TIME, value.strip())
+    if found is None:
+        raise ConfigurationError(f"The latency {text!r} is not understood; expected one of: {_FORMS}.")
+    return float(found[1]) / (1000.0 if found[2] == "ms" else 1.0)
+
+
+def _from_file(path: Path) -> Callable[[np.random.Generator], Draw]:
+    try:
+        values = np.loadtxt(path, ndmin=1)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"The latencies in {path} cannot be read: {error}.") from error
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (values < 0).any():
+        raise ConfigurationError(f"{path} holds no latencies, expected one number of seconds >= 0 a line.")
+    return lambda random: lambda _: float(random.choice(values))
+
+
+def median_s(text: str) -> float | None:
+    """Median of a latency [s]; None for what is measured.
+
+    Raises:
+        ConfigurationError: as `parse_latency`.
+    """
+    kind, _, rest = text.partition(":")
+    if text == MEASURED:
+        return None
+    if kind == "file":
+        return float(np.median(np.loadtxt(rest, ndmin=1)))
+    return _seconds(rest.partition(",")[0] if rest else text, text)

@@ -1,0 +1,171 @@
+"""The ledger: one line of JSON for each finished episode, only ever added to, each on disk before it counts.
+
+A line that was cut short by a crash is removed when the ledger is opened again, and its episode is run once more.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+from types import TracebackType
+
+from pydantic import ValidationError
+
+from rn_eval.plan import EvalPlan, Key
+from rn_eval.record import Record
+from roboneuron import ConfigurationError, StateError
+
+FILE_NAME = "episodes.jsonl"
+PLAN_NAME = "plan.json"
+STRIPS = "strips"
+
+
+def read_plan(directory: Path) -> EvalPlan:
+    """The plan of a run.
+
+    Raises:
+        ConfigurationError: there is none, or it is damaged.
+    """
+    path = directory / PLAN_NAME
+    try:
+        return EvalPlan.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValidationError) as error:
+        raise ConfigurationError(f"{path} holds no plan of an evaluation: {error}.") from error
+
+
+def read_records(directory: Path) -> list[Record]:
+    """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left out.
+
+    An episode that crashed may be there again, after the crash: the last one counts.
+
+    Raises:
+        ConfigurationError: a line before the last one is damaged, or an episode is there twice.
+    """
+    path = directory / FILE_NAME
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    lines = data[: data.rfind(b"\n") + 1].splitlines()
+    records: dict[Key, Record] = {}
+    for number, line in enumerate(lines, 1):
+        try:
+            record = Record.model_validate_json(line)
+        except ValidationError as error:
+            raise ConfigurationError(f"{path}:{number} is damaged: {error.errors()[0]['msg']}.") from error
+        before = records.pop(record.key, None)
+        if before is not None and before.outcome.status != "error":
+            raise ConfigurationError(f"{path}:{number} repeats the episode {record.key.slug}.")
+        records[record.key] = record
+    return list(records.values())
+
+
+class Ledger:
+    """The ledger of one run, held by one process at a time. Use it as a context manager."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.records: dict[Key, Record] = {}
+        self.cut_bytes = 0
+        self._file = -1
+
+    def open(self, plan: EvalPlan) -> None:
+        """Begin the run or continue it.
+
+        Raises:
+            StateError: another process runs it.
+            ConfigurationError: the folder holds a run with another plan, or the ledger is damaged.
+        """
+        self.directory.mkdir(parents=True, exist_ok=True)
+        file = os.open(self.directory / FILE_NAME, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(file)
+            raise StateError(f"Another process runs the evaluation in {self.directory}.") from error
+        self._file = file
+        try:
+            self._continue(plan)
+        except BaseException:
+            self.close()
+            raise
+
+    def _continue(self, plan: EvalPlan) -> None:
+        if (self.directory / PLAN_NAME).exists():
+            _check_same(read_plan(self.directory), plan, self.directory)
+        _write_durably(self.directory / PLAN_NAME, plan.model_dump_json(indent=1).encode())
+        self.records = {record.key: record for record in read_records(self.directory)}
+        data = (self.directory / FILE_NAME).read_bytes()
+        whole = data.rfind(b"\n") + 1
+        self.cut_bytes = len(data) - whole
+        if self.cut_bytes:
+            os.ftruncate(self._file, whole)
+            os.fsync(self._file)
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def add(self, record: Record, strip: bytes | None = None) -> None:
+        """Put an episode on disk; when this returns it survives a crash of the machine.
+
+        Raises:
+            StateError: it is there already, and did not crash.
+        """
+        before = self.records.get(record.key)
+        if before is not None and before.outcome.status != "error":
+            raise StateError(f"The episode {record.key.slug} is in the ledger already.")
+        if strip is not None:
+            name = f"{record.key.slug}.png"
+            (self.directory / STRIPS).mkdir(exist_ok=True)
+            _write_durably(self.directory / STRIPS / name, strip)
+            record = record.model_copy(update={"strip": name})
+        line = record.model_dump_json().encode() + b"\n"
+        begun = os.fstat(self._file).st_size
+        try:
+            if os.write(self._file, line) != len(line):
+                raise OSError("a line was written in part only; is the disk full?")
+            os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, begun)
+            raise
+        self.records[record.key] = record
+
+    def close(self) -> None:
+        """Release the lock; may be called twice."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def _check_same(old: EvalPlan, new: EvalPlan, directory: Path) -> None:
+    before, now = old.identity, new.identity
+    changed = [name for name in before if before[name] != now[name]]
+    if changed:
+        name = changed[0]
+        raise ConfigurationError(
+            f"{directory} holds a run with another {name}: {json.dumps(before[name])[:200]}, now "
+            f"{json.dumps(now[name])[:200]}.",
+            hint="Choose another --out, or give what that run was begun with.",
+        )
+
+
+def _write_durably(path: Path, data: bytes) -> None:
+    """Replace the file in one step, so that a crash leaves the old or the new one."""
+    temporary = path.with_name(f".{path.name}.new")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,189 @@
+"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON beside the ledger."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from rn_eval.hooks import SuiteSpec
+from rn_eval.suite import Episode, Suite
+from roboneuron import ConfigurationError
+from roboneuron.config import Config
+from roboneuron.modules.plugin import build
+from roboneuron.planning import Plan, check_plan
+from roboneuron.plugins.registry import Registry
+
+NO_PRESET = "none"
+_SAMPLE_BYTES = 65536
+PACKAGES = ("roboneuron-core", "rn-eval", "numpy", "torch", "pybullet", "mujoco", "ray")
+
+
+class Variant(NamedTuple):
+    """One row of the comparison.
+
+    Attributes:
+        preset: acceleration, or "none".
+        execution: how chunks are played: "sequential", "overlap", "rtc", "predicted-state" or "auto".
+        latency: see `rn_eval.latency`.
+    """
+
+    preset: str
+    execution: str
+    latency: str
+
+
+class Key(BaseModel):
+    """What identifies an episode within a run."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    suite: str
+    preset: str
+    execution: str
+    latency: str
+    task: str
+    seed: int
+
+    @property
+    def variant(self) -> Variant:
+        """Under which it ran."""
+        return Variant(preset=self.preset, execution=self.execution, latency=self.latency)
+
+    @property
+    def slug(self) -> str:
+        """For file names."""
+        plain = "_".join(str(value) for _, value in self)
+        safe = "".join(c if c.isalnum() or c in "._-" else "-" for c in plain)
+        return safe if safe == plain else f"{safe}-{hashlib.sha256(plain.encode()).hexdigest()[:6]}"
+
+
+class Job(NamedTuple):
+    """One episode to be run."""
+
+    key: Key
+    episode: Episode
+
+
+class EvalPlan(BaseModel):
+    """Everything that decides what an episode's outcome is, and which episodes there are.
+
+    Attributes:
+        suite: name of the suite.
+        suite_options: as given; validated by the suite's own model.
+        backend, checkpoint, runtime: the policy.
+        checkpoint_sha256: of names, sizes and both ends of the checkpoint's files; "" without one.
+        config: the configuration whose limits, control and plugin options hold.
+        executions, latencies, presets: every combination is a variant.
+        episodes, first_seed: for `Suite.episodes`.
+        threads: threads of each worker's numerical libraries; results of some depend on it.
+        versions: of the packages when the run began.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    suite: str
+    suite_options: dict[str, Any] = Field(default_factory=dict)
+    backend: str
+    checkpoint: str | None = None
+    checkpoint_sha256: str = ""
+    runtime: str | None = None
+    config: dict[str, Any]
+    presets: tuple[str, ...] = (NO_PRESET,)
+    executions: tuple[Literal["sequential", "overlap", "rtc", "predicted-state", "auto"], ...] = ("sequential",)
+    latencies: tuple[str, ...] = ("0",)
+    episodes: int = Field(ge=1)
+    first_seed: int = Field(default=0, ge=0)
+    threads: int = Field(default=1, ge=1)
+    strips: Literal["failures", "all", "none"] = "failures"
+    versions: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What must be equal for a ledger to be continued; more episodes and variants may be added."""
+        growing = {"presets", "executions", "latencies", "episodes", "versions", "strips"}
+        return self.model_dump(mode="json", exclude=growing)
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """All of them; those of one preset stand together, so that a worker seldom loads another."""
+        return tuple(Variant(p, e, x) for p in self.presets for e in self.executions for x in self.latencies)
+
+    def load_config(self) -> Config:
+        """The configuration as a model."""
+        return Config.model_validate(self.config)
+
+    def suite_spec(self, registry: Registry) -> SuiteSpec:
+        """The suite's descriptor. Raises ConfigurationError when it is not installed."""
+        spec = registry.get("suite", self.suite)
+        assert isinstance(spec, SuiteSpec)
+        return spec
+
+    def build_suite(self, registry: Registry) -> Suite:
+        """The suite with its options. Raises ConfigurationError for wrong ones."""
+        spec = self.suite_spec(registry)
+        suite: Any = build(spec, self.suite_options)
+        return suite  # type: ignore[no-any-return]
+
+    def check(self, registry: Registry, preset: str) -> Plan:
+        """Whether the combination fits, as a server checks it before it starts anything.
+
+        Raises:
+            ConfigurationError, PlanningError: it does not; one sentence.
+        """
+        spec, config = self.suite_spec(registry), self.load_config()
+        assert config.control is not None
+        return check_plan(
+            registry,
+            robot=spec.robot,
+            driver=spec.driver,
+            controller=config.control.controller,
+            backend=self.backend,
+            runtime=self.runtime,
+            acceleration=None if preset == NO_PRESET else preset,
+            cameras=config.inference.cameras if config.inference else {},
+        )
+
+    def jobs(self, episodes: Sequence[Episode]) -> Iterator[Job]:
+        """Every episode under every variant."""
+        for variant in self.variants:
+            for episode in episodes:
+                key = Key(suite=self.suite, **variant._asdict(), task=episode.task, seed=episode.seed)
+                yield Job(key, episode)
+
+
+def installed_versions() -> dict[str, str]:
+    """Version by package, of those that are installed."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def fingerprint(checkpoint: str | None) -> str:
+    """A hash of names, sizes and the first and last 64 KiB of a checkpoint's files; "" without a checkpoint.
+
+    Raises:
+        ConfigurationError: there is no such file or folder.
+    """
+    if checkpoint is None:
+        return ""
+    root = Path(checkpoint)
+    if not root.exists():
+        raise ConfigurationError(f"There is no checkpoint {checkpoint!r}.")
+    digest = hashlib.sha256()
+    for path in sorted(p for p in ([root] if root.is_file() else root.rglob("*")) if p.is_file()):
+        size = path.stat().st_size
+        digest.update(f"{path.relative_to(root)} {size}\n".encode())
+        with path.open("rb") as file:
+            digest.update(file.read(_SAMPLE_BYTES))
+            file.seek(max(0, size - _SAMPLE_BYTES))
+            digest.update(file.read(_SAMPLE_BYTES))
+    return digest.hexdigest()

@@ -1,0 +1,113 @@
+"""The plots of a report, as SVG text: success by variant, against tokens kept, against latency; speed-up."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from rn_eval.latency import median_s
+from rn_eval.statistics import Proportion
+from rn_eval.summary import Row, Summary
+
+_SIZE = (6.4, 3.6)
+
+
+def plots(summary: Summary) -> list[tuple[str, str]]:
+    """(caption, SVG) of each plot that the records have the data for."""
+    made = [("Success by variant, with 95 % Wilson intervals", _draw(lambda axes: _bars(axes, summary.rows)))]
+    with_tokens = [row for row in summary.rows if row.tokens is not None]
+    if len({row.tokens for row in with_tokens}) > 1:
+        made.append(("Success against tokens kept", _draw(lambda axes: _tokens(axes, with_tokens))))
+    if len({row.variant.latency for row in summary.rows}) > 1:
+        made.append(("Success against latency", _draw(lambda axes: _latency(axes, summary.rows))))
+    faster = [row for row in summary.rows if row.speed_up is not None]
+    if len({row.variant.preset for row in faster}) > 1:
+        made.append(("Speed-up of a prediction against success", _draw(lambda axes: _speed(axes, faster))))
+    return made
+
+
+def _draw(paint: Callable[[Any], None]) -> str:
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    FigureCanvasSVG(figure)
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    paint(axes)
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _whiskers(shares: Sequence[Proportion]) -> list[list[float]]:
+    below = [100 * max(0.0, s.share - s.low) if s.trials else 0.0 for s in shares]
+    above = [100 * max(0.0, s.high - s.share) if s.trials else 0.0 for s in shares]
+    return [below, above]
+
+
+def _points(shares: Sequence[Proportion]) -> list[float]:
+    return [100 * share.share for share in shares]
+
+
+def _percent(axes: Any) -> None:
+    axes.set_ylim(-3, 103)
+    axes.set_ylabel("success [%]")
+    axes.grid(axis="y", alpha=0.3)
+
+
+def _bars(axes: Any, rows: Sequence[Row]) -> None:
+    shares = [row.success for row in rows]
+    axes.bar(range(len(rows)), _points(shares), color="#5a7fb5", width=0.6)
+    axes.errorbar(range(len(rows)), _points(shares), yerr=_whiskers(shares), fmt="none", ecolor="black", capsize=4)
+    axes.set_xticks(
+        range(len(rows)),
+        [row.name for row in rows],
+        rotation=25 if len(rows) > 4 else 0,
+        ha="right" if len(rows) > 4 else "center",
+    )
+    _percent(axes)
+
+
+def _tokens(axes: Any, rows: Sequence[Row]) -> None:
+    for key in dict.fromkeys(row.variant[1:] for row in rows):
+        own = sorted((r for r in rows if r.variant[1:] == key), key=lambda row: row.tokens or 0.0)
+        shares = [row.success for row in own]
+        axes.errorbar(
+            [r.tokens for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4, label=" ".join(key)
+        )
+    axes.set_xlabel("tokens kept")
+    axes.legend()
+    _percent(axes)
+
+
+def _latency(axes: Any, rows: Sequence[Row]) -> None:
+    for preset, execution in dict.fromkeys((row.variant.preset, row.variant.execution) for row in rows):
+        own = [r for r in rows if (r.variant.preset, r.variant.execution) == (preset, execution)]
+        own.sort(key=_latency_ms)
+        shares = [row.success for row in own]
+        axes.errorbar(
+            [_latency_ms(r) for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4,
+            label=f"{preset} {execution}",
+        )  # fmt: skip
+    axes.set_xlabel("latency of a prediction, median [ms]")
+    axes.legend()
+    _percent(axes)
+
+
+def _latency_ms(row: Row) -> float:
+    """The injected median, or the measured one."""
+    injected_s = median_s(row.variant.latency)
+    return row.inference.p50 if injected_s is None else 1e3 * injected_s
+
+
+def _speed(axes: Any, rows: Sequence[Row]) -> None:
+    shares = [row.success for row in rows]
+    speeds = [row.speed_up for row in rows]
+    axes.errorbar(speeds, _points(shares), yerr=_whiskers(shares), fmt="o", capsize=4)
+    for row, speed in zip(rows, speeds, strict=True):
+        axes.annotate(row.name, (speed, 100 * row.success.share), textcoords="offset points", xytext=(6, 4))
+    axes.set_xlabel("speed-up of a prediction")
+    _percent(axes)

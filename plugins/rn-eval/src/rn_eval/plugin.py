@@ -1,0 +1,34 @@
+"""What this package offers: the command "eval" with its hook for suites, and the suite "cubes"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rn_eval.hooks import SuiteSpec
+from roboneuron import CommandSpec, hookimpl
+
+COMMAND = CommandSpec(
+    name="eval",
+    summary="measure how often a policy succeeds, over many simulated episodes",
+    target="rn_eval.command:Eval",
+    hooks="rn_eval.hooks:HOOKS",
+)
+CUBES = SuiteSpec(
+    name="cubes",
+    summary="The simulated FR3 picks the named cube out of several; the simulator judges",
+    target="rn_eval.cubes:Cubes",
+    config="rn_eval.cubes:CubesOptions",
+    robot="fr3",
+)
+
+
+@hookimpl
+def roboneuron_commands() -> Sequence[CommandSpec]:
+    """The command `roboneuron eval`."""
+    return [COMMAND]
+
+
+@hookimpl
+def roboneuron_suites() -> Sequence[SuiteSpec]:
+    """The suite "cubes"."""
+    return [CUBES]

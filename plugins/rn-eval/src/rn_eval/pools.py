@@ -1,0 +1,193 @@
+"""Where episodes run: in this process, or on workers of Ray."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import import_module
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol
+
+from rn_eval.plan import EvalPlan, Job
+from rn_eval.record import Outcome, Record
+from rn_eval.runner import Runner
+from roboneuron import ConfigurationError, MissingDependencyError, StateError
+
+_MOST_DEATHS = 3
+"""An episode that has ended so many workers is recorded as an error."""
+_POLL_S = 1.0
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Finished(NamedTuple):
+    """What a worker hands back."""
+
+    record: Record
+    strip: bytes | None
+
+
+class Pool(Protocol):
+    """Runs jobs; a context manager."""
+
+    def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
+        """Each job once, in the order in which they end."""
+        ...
+
+    def __enter__(self) -> Pool: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class InProcess:
+    """One worker: this process. Needs no Ray."""
+
+    def __init__(self, plan: EvalPlan) -> None:
+        self._runner = Runner(plan)
+
+    def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
+        """One job after the other."""
+        for job in jobs:
+            yield Finished(*self._runner.run(job))
+
+    def __enter__(self) -> InProcess:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._runner.close()
+
+
+class EpisodeWorker:
+    """A worker's process; Ray makes an actor of it."""
+
+    def __init__(self, plan: str, policies: Sequence[Any]) -> None:
+        """Take the plan as JSON, and the shared policies' actors; none: each worker loads its own."""
+        from rn_eval.sharing import SharedPolicy
+
+        parsed = EvalPlan.model_validate_json(plan)
+        connect: Callable[[str], Any] | None = None
+        if policies:
+            actor = policies[os.getpid() % len(policies)]
+            connect = lambda preset: SharedPolicy(actor, preset)  # noqa: E731
+        self._runner = Runner(parsed, connect)
+
+    def run(self, job: Job) -> tuple[Record, bytes | None]:
+        """As `Runner.run`."""
+        return self._runner.run(job)
+
+
+class OnRay:
+    """Several workers, on this machine or on a cluster; one that dies is replaced and its episode is run again.
+
+    Args:
+        plan: what is evaluated.
+        workers: simulators at a time, one CPU each.
+        address: of a running cluster; None starts a Ray on this machine, which ends with this process.
+        policy_actors: processes that hold the policy for all workers; 0: each worker loads its own.
+        policy_gpus: GPUs of each of them, or of each worker when there are none.
+
+    Raises:
+        MissingDependencyError: Ray is not installed.
+        ConfigurationError: a cluster cannot be reached, or the policy cannot be shared.
+    """
+
+    def __init__(
+        self,
+        plan: EvalPlan,
+        *,
+        workers: int,
+        address: str | None = None,
+        policy_actors: int = 0,
+        policy_gpus: float = 0.0,
+    ) -> None:
+        try:
+            ray: Any = import_module("ray")  # heavy
+        except ModuleNotFoundError as error:
+            raise MissingDependencyError(
+                "More than one worker needs Ray, which is not installed.",
+                hint="Run: pip install './plugins/rn-eval[ray]'",
+            ) from error
+        self._ray = ray
+        self._plan, self._count = plan, workers
+        self._connect(address, workers + policy_actors)
+        self._policies: list[Any] = []
+        if policy_actors:
+            from rn_eval.sharing import PolicyActor
+
+            shared = ray.remote(num_cpus=1, num_gpus=policy_gpus, max_concurrency=max(8, 4 * workers))(PolicyActor)
+            self._policies = [shared.remote(plan.model_dump_json()) for _ in range(policy_actors)]
+        own_gpus = 0.0 if policy_actors else policy_gpus
+        self._actor = ray.remote(num_cpus=1, num_gpus=own_gpus)(EpisodeWorker)
+        self._workers: list[Any] = [self._spawn() for _ in range(workers)]
+
+    def _connect(self, address: str | None, cpus: int) -> None:
+        # Results may depend on the number of threads, and Ray would set it to an actor's CPUs.
+        threads = {name: str(self._plan.threads) for name in THREAD_VARIABLES}
+        settings: dict[str, Any] = {"runtime_env": {"env_vars": threads}, "log_to_driver": False}
+        if address is None:
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+            # So many processes as were asked for are to run, however few CPUs the machine has.
+            settings |= {"num_cpus": cpus, "include_dashboard": False}
+        try:
+            self._ray.init(address=address, logging_level="ERROR", **settings)
+        except ConnectionError as error:
+            raise ConfigurationError(f"There is no Ray cluster at {address!r}: {error}.") from error
+
+    def _spawn(self) -> Any:
+        return self._actor.remote(self._plan.model_dump_json(), self._policies)
+
+    def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
+        """See `Pool`. Raises StateError when workers die before they have run anything."""
+        ray = self._ray
+        waiting = deque(jobs)
+        deaths: dict[Job, int] = {}
+        proven = False
+        idle = list(range(len(self._workers)))
+        running: dict[Any, tuple[int, Job]] = {}
+        while waiting or running:
+            while waiting and idle:
+                number, job = idle.pop(), waiting.popleft()
+                running[self._workers[number].run.remote(job)] = (number, job)
+            ready, _ = ray.wait(list(running), num_returns=1, timeout=_POLL_S)
+            for reference in ready:
+                number, job = running.pop(reference)
+                try:
+                    finished = Finished(*ray.get(reference))
+                except ray.exceptions.RayActorError as error:
+                    deaths[job] = deaths.get(job, 0) + 1
+                    if deaths[job] >= _MOST_DEATHS and not proven:
+                        raise StateError(f"Workers end before they have run an episode: {_first_line(error)}") from None
+                    self._workers[number] = self._spawn()
+                    if deaths[job] < _MOST_DEATHS:
+                        waiting.appendleft(job)
+                    else:
+                        yield Finished(_lost(job, _first_line(error)), None)
+                except ray.exceptions.RayTaskError as error:
+                    raise error.as_instanceof_cause() from None
+                else:
+                    proven = True
+                    yield finished
+                idle.append(number)
+
+    def __enter__(self) -> OnRay:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ray.shutdown()
+
+
+def _lost(job: Job, cause: str) -> Record:
+    reason = f"It ended {_MOST_DEATHS} workers: {cause}"
+    return Record(key=job.key, instruction=job.episode.instruction, outcome=Outcome(status="error", reason=reason))
+
+
+def _first_line(error: Exception) -> str:
+    """What happened, without Ray's advice. A constructor's failure is told by its last line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if "creation task" in lines[0] or "Traceback" in str(error) else lines[0])[:500]

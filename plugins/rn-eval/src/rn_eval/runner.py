@@ -1,0 +1,169 @@
+"""Runs episodes one after the other in this process."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import cast
+from zlib import crc32
+
+import numpy as np
+
+from rn_eval.episode import EpisodeClock
+from rn_eval.latency import parse_latency
+from rn_eval.plan import EvalPlan, Job
+from rn_eval.policy import Policy, load_backend
+from rn_eval.record import Measured, Outcome, Record
+from rn_eval.suite import Setup
+from roboneuron import BackendSpec, Controller, RoboNeuronError
+from roboneuron.gate.motion import collision_of
+from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Mode
+from roboneuron.modules.plugin import build, load_profile
+from roboneuron.plugins.discovery import discover
+
+_DEFAULT_IMAGE_AGE_S = 0.5
+_ERROR_LINES = 6
+
+
+class Runner:
+    """Holds what outlasts an episode: the suite, the controller and the policy of one preset. Used from one thread.
+
+    Args:
+        plan: what is evaluated.
+        connect: returns the policy of a preset; None loads it into this process.
+    """
+
+    def __init__(self, plan: EvalPlan, connect: Callable[[str], Policy] | None = None) -> None:
+        self._plan = plan
+        self._registry = discover()
+        self._connect = connect or (lambda preset: load_backend(plan, self._registry, preset))
+        self._suite = plan.build_suite(self._registry)
+        self._preset: str | None = None
+        self._policy: Policy | None = None
+        self._is_cold = True
+        self._setup, self._spec = self._prepare()
+
+    def _prepare(self) -> tuple[Setup, BackendSpec]:
+        plan, config = self._plan, self._plan.load_config()
+        parts = plan.check(self._registry, plan.presets[0])
+        assert parts.backend is not None
+        assert parts.controller is not None
+        profile = load_profile(self._registry, parts.robot.name)
+        profile = replace(profile, collision=collision_of(config.limits, profile))
+        controller = cast("Controller", build(parts.controller, config.options(parts.controller.name), profile))
+        controller.load()
+        cameras = {role: profile.camera(name) for role, name in parts.cameras.items()}
+        setup = Setup(
+            profile=profile,
+            cameras={role: camera for role, camera in cameras.items() if camera is not None},
+            controller=controller,
+            config=config,
+            needs_state=parts.backend.needs_state,
+        )
+        return setup, parts.backend
+
+    def run(self, job: Job) -> tuple[Record, bytes | None]:
+        """Play one episode; returns its record and the film strip, if one is wanted.
+
+        A crash of the simulator or the policy is an outcome ("error"), not an exception.
+
+        Raises:
+            RoboNeuronError: the policy cannot be loaded: every episode would fail alike.
+        """
+        begun_s = time.perf_counter()
+        policy = self._policy_of(job.key.preset)
+        strip: bytes | None = None
+        measured = Measured()
+        try:
+            outcome, inference_ms, strip = self._play(job, policy)
+            measured = Measured(
+                wall_s=round(time.perf_counter() - begun_s, 4), inference_ms=inference_ms, cold=int(self._is_cold)
+            )
+            self._is_cold = False
+        except Exception as error:  # the border to simulator and policy: the other episodes go on
+            lines = "".join(traceback.format_exception(error)).strip().splitlines()
+            outcome = Outcome(status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:]))
+        record = Record(
+            key=job.key,
+            instruction=job.episode.instruction,
+            outcome=outcome,
+            measured=measured,
+            host=platform.node(),
+            pid=os.getpid(),
+            ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        )
+        return record, strip
+
+    def _play(self, job: Job, policy: Policy) -> tuple[Outcome, list[float], bytes | None]:
+        random = np.random.default_rng([job.key.seed, crc32(job.key.task.encode())])
+        policy.reset()
+        scene = self._suite.open(job.episode, self._setup)
+        try:
+            clock = EpisodeClock(
+                scene=scene,
+                policy=policy,
+                executor=self._executor(job.key.execution),
+                latency=parse_latency(job.key.latency)(random),
+                episode=job.episode,
+            )
+            played = clock.run()
+            is_wanted = self._plan.strips == "all" or (
+                self._plan.strips == "failures" and played.outcome.status == "failure"
+            )
+            strip = None
+            if is_wanted:
+                end = next(iter(scene.observe(1).frames.values()), None)
+                last = None if end is None else (played.outcome.duration_s, "end", end.image)
+                strip = played.film.strip(last) or None
+            return played.outcome, played.inference_ms, strip
+        finally:
+            scene.close()
+
+    def _executor(self, execution: str) -> ChunkExecutor:
+        spec, inference = self._spec, self._setup.config.inference
+        abilities = Abilities(
+            conditions_on_rows=spec.conditions_on_rows,
+            max_committed_rows=spec.max_committed_rows,
+            takes_predicted_state=spec.takes_predicted_state,
+        )
+        most_s = inference.max_image_age_s if inference is not None else _DEFAULT_IMAGE_AGE_S
+        fixed = None if execution == "auto" else cast("Mode", execution)
+        return ChunkExecutor(abilities, fixed=fixed, bounds=Bounds(first_s=most_s))
+
+    def _policy_of(self, preset: str) -> Policy:
+        if self._policy is None or self._preset != preset:
+            self.close_policy()
+            self._policy, self._preset, self._is_cold = self._connect(preset), preset, True
+        return self._policy
+
+    def close_policy(self) -> None:
+        """Release the loaded policy."""
+        policy, self._policy = self._policy, None
+        if policy is not None:
+            policy.close()
+
+    def close(self) -> None:
+        """Release everything; may be called twice."""
+        self.close_policy()
+        self._setup.controller.close()
+
+
+def refuse_early(plan: EvalPlan) -> None:
+    """Check all that can be checked before anything is loaded.
+
+    Raises:
+        RoboNeuronError: a preset does not fit, a latency is not understood, options are wrong.
+    """
+    registry = discover()
+    for preset in plan.presets:
+        plan.check(registry, preset)
+    for latency in plan.latencies:
+        parse_latency(latency)
+    spec = registry.get("backend", plan.backend)
+    if spec.needs_checkpoint and plan.checkpoint is None:
+        raise RoboNeuronError(f"The backend {plan.backend!r} needs a checkpoint.", hint="Give --checkpoint FOLDER.")

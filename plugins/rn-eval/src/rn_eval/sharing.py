@@ -1,0 +1,139 @@
+"""One policy for many workers: requests that are there at the same time become one forward."""
+
+from __future__ import annotations
+
+import asyncio
+from importlib import import_module
+from typing import Any, NamedTuple, cast
+
+from rn_eval.plan import EvalPlan
+from rn_eval.policy import BatchBackend, load_backend
+from roboneuron import ActionChunk, Backend, ConfigurationError, Observation, PluginError
+from roboneuron.plugins.discovery import discover
+
+MOST_IN_BATCH = 32
+_GATHER_S = 0.002
+"""So long after the first request of a batch others may join: simulators that were answered together ask together."""
+
+
+class Request(NamedTuple):
+    """A question of one worker."""
+
+    preset: str
+    observation: Observation
+    answer: asyncio.Future[ActionChunk]
+
+
+class PolicyActor:
+    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward form the next batch."""
+
+    def __init__(self, plan: str) -> None:
+        self._plan = EvalPlan.model_validate_json(plan)
+        self._registry = discover()
+        self._backend: Backend | None = None
+        self._preset = ""
+        self._waiting: list[Request] = []
+        self._arrived = asyncio.Event()
+        self._using = asyncio.Lock()
+        self._server: asyncio.Task[None] | None = None
+        self._sizes: list[int] = []
+
+    async def open(self, preset: str) -> None:
+        """Load the backend with that preset, unless it is loaded.
+
+        Raises:
+            ConfigurationError: it offers no `predict_batch`.
+        """
+        async with self._using:
+            self._load(preset)
+        if self._server is None:
+            self._server = asyncio.get_running_loop().create_task(self._serve())
+
+    async def predict(self, preset: str, observation: Observation) -> ActionChunk:
+        """Answer with the batch that the observation falls into. Raises what the backend raises."""
+        answer: asyncio.Future[ActionChunk] = asyncio.get_running_loop().create_future()
+        self._waiting.append(Request(preset, observation, answer))
+        self._arrived.set()
+        return await answer
+
+    async def sizes(self) -> list[int]:
+        """Requests in each batch so far."""
+        return self._sizes
+
+    def _load(self, preset: str) -> None:
+        if self._backend is None or self._preset != preset:
+            if self._backend is not None:
+                self._backend.close()
+            self._backend, self._preset = load_backend(self._plan, self._registry, preset), preset
+        if not isinstance(self._backend, BatchBackend):
+            raise ConfigurationError(
+                f"The backend {self._plan.backend!r} offers no predict_batch, so workers cannot share it.",
+                hint="Leave --policy-actors out: each worker then loads its own.",
+            )
+
+    async def _serve(self) -> None:
+        while True:
+            await self._arrived.wait()
+            await asyncio.sleep(_GATHER_S)
+            # Workers that end the last episodes of one preset ask beside those that have begun with the next.
+            preset = self._waiting[0].preset
+            batch = [request for request in self._waiting if request.preset == preset][:MOST_IN_BATCH]
+            self._waiting = [request for request in self._waiting if all(request is not one for one in batch)]
+            if not self._waiting:
+                self._arrived.clear()
+            async with self._using:
+                await asyncio.to_thread(self._forward, batch, asyncio.get_running_loop())
+
+    def _forward(self, batch: list[Request], loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            self._load(batch[0].preset)
+            backend = cast("BatchBackend", self._backend)
+            chunks = list(backend.predict_batch([request.observation for request in batch]))
+            if len(chunks) != len(batch):
+                raise PluginError(f"predict_batch answered {len(chunks)} of {len(batch)} observations.")
+        except Exception as error:
+            if len(batch) == 1:
+                loop.call_soon_threadsafe(_fail, batch[0].answer, error)
+            else:  # one bad observation must not fail the others: each is asked about alone
+                for request in batch:
+                    self._forward([request], loop)
+            return
+        self._sizes.append(len(batch))
+        for request, chunk in zip(batch, chunks, strict=True):
+            loop.call_soon_threadsafe(_resolve, request.answer, chunk)
+
+
+def _resolve(answer: asyncio.Future[ActionChunk], chunk: ActionChunk) -> None:
+    if not answer.done():
+        answer.set_result(chunk)
+
+
+def _fail(answer: asyncio.Future[ActionChunk], error: Exception) -> None:
+    if not answer.done():
+        answer.set_exception(error)
+
+
+class SharedPolicy:
+    """A worker's end of a `PolicyActor`; follows the protocol `Policy`."""
+
+    def __init__(self, actor: Any, preset: str) -> None:
+        self._ray: Any = import_module("ray")  # heavy
+        self._actor, self._preset = actor, preset
+        self._get(actor.open.remote(preset))
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Ask the actor and wait."""
+        chunk: ActionChunk = self._get(self._actor.predict.remote(self._preset, observation))
+        return chunk
+
+    def reset(self) -> None:
+        """Nothing is remembered between predictions."""
+
+    def close(self) -> None:
+        """The actor stays for the others."""
+
+    def _get(self, reference: Any) -> Any:
+        try:
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:
+            raise error.as_instanceof_cause() from None

@@ -1,0 +1,133 @@
+"""The tables of a report, computed from a ledger's records: one row for each variant, task and pair."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rn_eval.plan import NO_PRESET, Variant
+from rn_eval.progress import label
+from rn_eval.record import Record
+from rn_eval.statistics import (
+    Paired,
+    Proportion,
+    Spread,
+    inference_ms,
+    mcnemar,
+    proportion,
+    spread,
+    success_of,
+    verdicts,
+)
+
+TOKENS = ("tokens_kept", "visual_tokens_kept")
+"""Metrics that backends tell when tokens are pruned."""
+RIGHT_OBJECT = "right_object"
+
+
+class Row(NamedTuple):
+    """One variant.
+
+    Attributes:
+        variant, name: which, and as it is called in the report.
+        episodes, errors: that ended, and that crashed.
+        success: of those with a verdict.
+        right_object: of those that took something up; 0 of 0 where the suite does not tell.
+        inference: time of a prediction [ms].
+        episode_s, wall_s: simulated and real time of an episode [s].
+        speed_up: median time of a prediction without a preset to that with this one; None for lack of either.
+        tokens: mean number of tokens kept; None when the backend does not tell.
+        paired: against the first variant with the same execution and latency, on the same episodes; None for itself.
+        starved: mean number of periods without an action, of an episode.
+        reasons: failures by reason, most frequent first.
+    """
+
+    variant: Variant
+    name: str
+    episodes: int
+    errors: int
+    success: Proportion
+    right_object: Proportion
+    inference: Spread
+    episode_s: Spread
+    wall_s: Spread
+    speed_up: float | None
+    tokens: float | None
+    paired: Paired | None
+    starved: float
+    reasons: tuple[tuple[str, int], ...]
+
+
+class Summary(NamedTuple):
+    """Everything a report tells in tables.
+
+    Attributes:
+        rows: one for each variant.
+        tasks: names of the tasks.
+        by_task: success by (variant, task).
+        suites: names of the suites.
+        by_suite: success by (variant, suite).
+        records: what it was made of.
+    """
+
+    rows: tuple[Row, ...]
+    tasks: tuple[str, ...]
+    by_task: dict[tuple[Variant, str], Proportion]
+    suites: tuple[str, ...]
+    by_suite: dict[tuple[Variant, str], Proportion]
+    records: tuple[Record, ...]
+
+
+def summarise(records: Sequence[Record]) -> Summary:
+    """Compute the tables."""
+    variants = tuple(dict.fromkeys(record.key.variant for record in records))
+    of = {variant: [record for record in records if record.key.variant == variant] for variant in variants}
+    tasks = tuple(dict.fromkeys(sorted(record.key.task for record in records)))
+    suites = tuple(dict.fromkeys(record.key.suite for record in records))
+    rows = tuple(_row(variant, variants, of) for variant in variants)
+    return Summary(
+        rows=rows,
+        tasks=tasks,
+        by_task={(v, task): success_of([r for r in of[v] if r.key.task == task]) for v in variants for task in tasks},
+        suites=suites,
+        by_suite={(v, s): success_of([r for r in of[v] if r.key.suite == s]) for v in variants for s in suites},
+        records=tuple(records),
+    )
+
+
+def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list[Record]]) -> Row:
+    records = of[variant]
+    taken = [r.outcome.facts[RIGHT_OBJECT] for r in records if RIGHT_OBJECT in r.outcome.facts]
+    inference = spread(inference_ms(records))
+    plain = spread(inference_ms(of.get(variant._replace(preset=NO_PRESET), [])))
+    base = _baseline(variant, variants)
+    tokens = [r.outcome.metrics[name] for r in records for name in TOKENS if name in r.outcome.metrics]
+    failures = Counter(r.outcome.reason for r in records if r.outcome.status != "success")
+    return Row(
+        variant=variant,
+        name=label(variant, variants),
+        episodes=len(records),
+        errors=sum(r.outcome.status == "error" for r in records),
+        success=success_of(records),
+        right_object=proportion(sum(value == 1.0 for value in taken), len(taken)),
+        inference=inference,
+        episode_s=spread([r.outcome.duration_s for r in records if r.outcome.status != "error"]),
+        wall_s=spread([r.measured.wall_s for r in records if r.outcome.status != "error"]),
+        speed_up=plain.p50 / inference.p50 if plain.size and inference.size and inference.p50 else None,
+        tokens=sum(tokens) / len(tokens) if tokens else None,
+        paired=None if base == variant else mcnemar(verdicts(of[base]), verdicts(records)),
+        starved=spread([float(r.outcome.starved_periods) for r in records]).mean,
+        reasons=tuple(failures.most_common()),
+    )
+
+
+def _baseline(variant: Variant, variants: tuple[Variant, ...]) -> Variant:
+    """Presets are compared with no preset, execution modes with the first one at the same latency."""
+    alike = [v for v in variants if v.execution == variant.execution and v.latency == variant.latency]
+    if alike[0] != variant:
+        return alike[0]
+    same = [v for v in variants if v.preset == variant.preset and v.latency == variant.latency]
+    if same[0] != variant:
+        return same[0]
+    return next(v for v in variants if v.preset == variant.preset)

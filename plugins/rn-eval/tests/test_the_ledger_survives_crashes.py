@@ -1,0 +1,104 @@
+"""One line for each episode, on disk before it counts; a cut line is run again; nothing is there twice."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from rn_eval.evaluate import evaluate
+from rn_eval.ledger import FILE_NAME, Ledger, read_records
+from rn_eval.plan import Key
+from rn_eval.pools import InProcess
+from rn_eval.record import Outcome, Record
+from roboneuron import ConfigurationError, StateError
+
+
+def record(seed, status="success"):
+    key = Key(suite="toy", preset="none", execution="sequential", latency="0", task="t", seed=seed)
+    return Record(key=key, instruction="reach", outcome=Outcome(status=status))
+
+
+def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):
+    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the end is the same."""
+    made = plan(episodes=3)
+    quiet = Console(file=io.StringIO())
+    whole = evaluate(made, tmp_path / "whole", lambda: InProcess(made), quiet)
+    data = (tmp_path / "whole" / FILE_NAME).read_bytes()
+    for cut in range(0, len(data) + 1, 211):
+        folder = tmp_path / f"cut-{cut}"
+        with Ledger(folder) as ledger:
+            ledger.open(made)
+        (folder / FILE_NAME).write_bytes(data[:cut])
+        kept = data[:cut].count(b"\n")
+        records = evaluate(made, folder, lambda: InProcess(made), quiet)
+        assert [r.outcome for r in records] == [r.outcome for r in whole]
+        lines = (folder / FILE_NAME).read_bytes().splitlines()
+        assert len(lines) == 3
+        assert lines[:kept] == data.splitlines()[:kept]
+
+
+def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
+    made = plan(episodes=2)
+    quiet = Console(file=io.StringIO())
+    evaluate(made, tmp_path, lambda: InProcess(made), quiet)
+
+    def forbidden():
+        raise AssertionError("nothing is missing")
+
+    assert len(evaluate(made, tmp_path, forbidden, quiet)) == 2
+    more = plan(episodes=3, executions=("sequential", "overlap"))
+    assert len(evaluate(more, tmp_path, lambda: InProcess(more), quiet)) == 6
+
+
+def test_an_episode_is_refused_a_second_time_unless_it_crashed(plan, tmp_path):
+    with Ledger(tmp_path) as ledger:
+        ledger.open(plan())
+        ledger.add(record(0))
+        ledger.add(record(1, "error"))
+        ledger.add(record(1))
+        with pytest.raises(StateError, match="in the ledger already"):
+            ledger.add(record(0))
+    assert {r.key.seed: r.outcome.status for r in read_records(tmp_path)} == {0: "success", 1: "success"}
+
+
+def test_a_repeated_or_damaged_line_is_refused(plan, tmp_path):
+    with Ledger(tmp_path) as ledger:
+        ledger.open(plan())
+        ledger.add(record(0))
+    path = tmp_path / FILE_NAME
+    line = path.read_text()
+    path.write_text(line + line)
+    with pytest.raises(ConfigurationError, match=":2 repeats"):
+        read_records(tmp_path)
+    path.write_text("{}\n" + line)
+    with pytest.raises(ConfigurationError, match=":1 is damaged"):
+        read_records(tmp_path)
+
+
+def test_two_processes_cannot_write_one_ledger(plan, tmp_path):
+    with Ledger(tmp_path) as ledger:
+        ledger.open(plan())
+        with pytest.raises(StateError, match="Another process"):
+            Ledger(tmp_path).open(plan())
+
+
+def test_a_ledger_of_other_settings_is_refused(plan, tmp_path):
+    with Ledger(tmp_path) as ledger:
+        ledger.open(plan())
+    with pytest.raises(ConfigurationError, match="another first_seed"), Ledger(tmp_path) as ledger:
+        ledger.open(plan(first_seed=5))
+
+
+def test_a_line_holds_what_a_reader_needs(plan, tmp_path):
+    made = plan(episodes=1)
+    evaluate(made, tmp_path, lambda: InProcess(made), Console(file=io.StringIO()))
+    line = json.loads((tmp_path / FILE_NAME).read_text())
+    assert line["key"]["seed"] == 0
+    assert line["outcome"]["status"] == "success"
+    assert len(line["outcome"]["digest"]) == 64
+    assert line["outcome"]["metrics"] == {"tokens_kept": 64.0}
+    assert line["measured"]["wall_s"] > 0
+    assert len(line["measured"]["inference_ms"]) == line["outcome"]["predictions"]

@@ -1,0 +1,127 @@
+"""Episodes on Ray: as in one process, whatever is killed meanwhile; a shared policy answers in batches."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import psutil
+import pytest
+
+from rn_eval.ledger import FILE_NAME, read_records
+
+pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
+KILLS = int(os.environ.get("ROBONEURON_EVAL_KILLS", "50"))
+LIMIT_S = 3600
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(LIMIT_S)]
+
+
+def command(folder, *words):
+    return [sys.executable, "-m", "roboneuron.cli.main", "eval", "run", "--suite", "toy", "--backend", "steer",
+            "--out", str(folder), "--strips", "none", *words]  # fmt: skip
+
+
+def finish(folder, *words):
+    done = subprocess.run(command(folder, *words), capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert done.returncode in (0, 1), done.stderr
+    return done
+
+
+def outcomes(folder):
+    return {record.key: record.outcome for record in read_records(folder)}
+
+
+def test_two_workers_give_what_one_gives(toy, tmp_path):
+    words = ("--episodes", "12", "--latency", "lognormal:112ms,0.3", "--execution", "sequential,overlap")
+    finish(tmp_path / "one", *words)
+    finish(tmp_path / "two", *words, "--workers", "2")
+    assert outcomes(tmp_path / "one") == outcomes(tmp_path / "two")
+    assert len({record.pid for record in read_records(tmp_path / "two")}) == 2
+
+
+def test_an_episode_that_ends_its_worker_is_an_error_and_the_others_go_on(toy, tmp_path):
+    done = finish(tmp_path, "--episodes", "6", "--workers", "2", "--suite-option", "deadly=4")
+    statuses = {key.seed: outcome.status for key, outcome in outcomes(tmp_path).items()}
+    assert done.returncode == 1
+    assert statuses[4] == "error"
+    assert len(statuses) == 6
+    assert Counter(statuses.values())["error"] == 1
+
+
+def _processes(driver, name):
+    try:
+        found = psutil.Process(driver.pid).children(recursive=True)
+        return [p for p in found if any(name in word for word in p.cmdline()[:1])]
+    except psutil.Error:
+        return []
+
+
+def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy, tmp_path):
+    """Whatever dies, the same command again runs exactly the missing episodes."""
+    words = ("--episodes", "400", "--suite-option", "slow_s=0.3")
+    chance = random.Random(13)
+    killed: Counter[str] = Counter()
+    begun_s = time.monotonic()
+    driver = None
+    while killed.total() < KILLS and time.monotonic() - begun_s < LIMIT_S:
+        if driver is None or driver.poll() is not None:
+            driver = subprocess.Popen(
+                command(tmp_path, *words, "--workers", "2"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+        count = len(_lines(tmp_path))
+        _await(lambda d=driver, c=count: len(_lines(tmp_path)) > c or d.poll() is not None)
+        time.sleep(chance.uniform(0.0, 0.5))
+        kind = chance.choices(("ray::EpisodeWorker", "driver", "raylet"), (10, 1, 1))[0]
+        found = [psutil.Process(driver.pid)] if kind == "driver" else _processes(driver, kind)
+        if found and driver.poll() is None:
+            chance.choice(found).kill()
+            killed[kind] += 1
+    if driver is not None and driver.poll() is None:
+        driver.kill()
+    if driver is not None:
+        driver.wait()
+    print(dict(killed), f"{len(_lines(tmp_path))} episodes, {time.monotonic() - begun_s:.0f} s")
+    assert killed.total() == KILLS
+    deadly = sum(line["outcome"]["status"] == "error" for line in _lines(tmp_path))  # chance has hit one three times
+    finish(tmp_path, "--episodes", "400", "--suite-option", "slow_s=0.3", "--retry-errors")
+    records = read_records(tmp_path)
+    assert sorted(record.key.seed for record in records) == list(range(400))
+    assert len(_lines(tmp_path)) == 400 + deadly
+    assert all(record.outcome.status != "error" for record in records)
+
+
+def _lines(folder):
+    path = folder / FILE_NAME
+    return (
+        [json.loads(line) for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+        if path.exists()
+        else []
+    )
+
+
+def _await(condition, limit_s=600.0):
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.1)
+
+
+def test_a_shared_policy_answers_many_workers_at_once(toy, tmp_path):
+    done = finish(tmp_path, "--backend", "steer-batch", "--episodes", "12", "--workers", "3", "--policy-actors", "1")
+    assert done.returncode == 0
+    finish(tmp_path / "own", "--backend", "steer-batch", "--episodes", "12")
+    assert outcomes(tmp_path) == outcomes(tmp_path / "own")
+
+
+def test_a_policy_that_remembers_cannot_be_shared(toy, tmp_path):
+    done = subprocess.run(
+        command(tmp_path, "--episodes", "2", "--workers", "2", "--policy-actors", "1"),
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "offers no predict_batch" in done.stderr
