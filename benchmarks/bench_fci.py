@@ -75,8 +75,9 @@ def speeds(sim: FrankaSim) -> Any:
 def wait(driver: FciDriver | None, check: Callable[[], bool], limit_s: float = 20.0) -> float:
     """Seconds until it holds."""
     began_s = time.monotonic()
+    end_s = began_s + limit_s
     while not check():
-        if time.monotonic() - began_s > limit_s:
+        if time.monotonic() > end_s:
             raise SystemExit(f"not within {limit_s} s: {driver.read().detail if driver else ''}")
         if driver is not None:
             driver.read()
@@ -148,8 +149,7 @@ def latency(driver: FciDriver, sim: FrankaSim, count: int) -> None:
         sign = -sign
         began_s = time.monotonic()
         go(driver, HOME + 0.1 * sign, 0.1)
-        while speeds(sim).max() < 2e-4:
-            pass
+        wait(None, lambda: bool(speeds(sim).max() >= 2e-4))
         found.append((time.monotonic() - began_s) * 1e3)
         time.sleep(1.2)
         driver.read()
@@ -163,8 +163,9 @@ def latency(driver: FciDriver, sim: FrankaSim, count: int) -> None:
 
 def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None:
     """Targets at 20 Hz; every fault counts."""
-    random, began_s, rates, faults, at = np.random.default_rng(3), time.monotonic(), [], 0, HOME.copy()
-    while time.monotonic() - began_s < limit_s:
+    random, rates, faults, at = np.random.default_rng(3), [], 0, HOME.copy()
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
         at = np.clip(at + random.uniform(-0.08, 0.08, 7), HOME - 0.5, HOME + 0.5)
         if driver.read().detail["fault"]:
             faults += 1
@@ -181,9 +182,10 @@ def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None
 
 
 def child() -> None:
-    """Streams until it is ended; for `lost_processes`."""
+    """Streams until it is ended, for a minute at the most; for `lost_processes`."""
     driver, step = open_driver(), 0
-    while True:
+    end_s = time.monotonic() + 60.0
+    while time.monotonic() < end_s:
         step += 1
         go(driver, HOME + 0.5 * np.sin(0.06 * step) * np.array([1, 0.3, 1, 0.3, 1, 1, 1]), 0.1)
         time.sleep(0.05)
@@ -201,7 +203,7 @@ def lost_processes(sim: FrankaSim, log: Path) -> None:
         time.sleep(0.5)
         rest = speeds(sim).max()
         process.kill()
-        process.wait()
+        process.wait(timeout=20.0)
         new = log.read_bytes()[told:].decode(errors="replace")
         by = "its communication watchdog" if "communication_constraints_violation" in new else "the end of its client"
         print(
@@ -237,7 +239,7 @@ def main() -> None:
         finally:
             for process in busy:
                 process.kill()
-                process.wait()
+                process.wait(timeout=20.0)
         driver.close()
         time.sleep(1.5)
         lost_processes(sim, log)

@@ -94,7 +94,8 @@ CLIENTS = {"franky-control": franky_client, "franka-rs": rust_client, "pylibfran
 
 def keep_interpreter() -> None:
     """Holds the interpreter lock for 50 ms, three times per second."""
-    while True:
+    end_s = time.monotonic() + 10 * SECONDS
+    while time.monotonic() < end_s:
         sys.setswitchinterval(10.0)
         until_s = time.perf_counter() + 0.05
         while time.perf_counter() < until_s:
@@ -117,7 +118,8 @@ def one(name: str, paused: bool) -> None:
     began_s, rates, verdict = time.monotonic(), [], "kept moving"
     cpu_s = time.process_time()
     try:
-        while (at_s := time.monotonic() - began_s) < SECONDS:
+        duration_s = SECONDS
+        while (at_s := time.monotonic() - began_s) < duration_s:
             aim(np.array(start) + 0.25 * np.sin(2.2 * at_s) * np.array([1, -1, 1, 1, 1, 1, 1]))
             time.sleep(PERIOD_S)
             seen = state()

@@ -17,7 +17,7 @@ from switch_plugin import (  # noqa: F401 (hooks)
     roboneuron_robots,
 )
 
-from roboneuron.plugins.markers import hookimpl
+from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import AccelerationSpec, ActionSpace, BackendSpec, RuntimeSpec
 
 if TYPE_CHECKING:

@@ -12,8 +12,6 @@ from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.case import contract_case, observe, paint_table
 from rn_backend_servo.chunk import pose_after, rows_done
 from rn_backend_servo.options import ServoOptions
-from rn_testing import BackendContract
-from rn_testing.cases import BackendCase
 from roboneuron.contract import ActionChunk, Ahead, Observation
 from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction
 
@@ -156,9 +154,3 @@ def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency
     assert status.delivery.starved_periods == 0
     assert lowest_m > 0.01
     assert arm.tcp_m[2] > 0.2
-
-
-class TestServoOfManyRowsContract(BackendContract):
-    @pytest.fixture
-    def plugin(self) -> BackendCase:
-        return replace(contract_case(), options={"rows": ROWS})

@@ -95,7 +95,7 @@ def agree(client: Client) -> tuple[int, float]:
     machine = Machine()
     check = SimpleNamespace(kind="control", noun="controller")
     switch = WarmSwitch(cast(Any, machine), cast(Any, None), cast(Any, check), lambda stage: None)
-    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5)
+    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, 0)
 
 
 def test_one_that_answers_too_late_is_told_a_later_moment() -> None:

@@ -71,5 +71,11 @@ def observe(
 
 def contract_case() -> BackendCase:
     """`servo` above a table with a red cube."""
-    image = paint_table({"red": (0.5, -0.1, 0.3)})
-    return BackendCase(spec=roboneuron_backends()[0], observe=lambda: observe(image))
+    image, moved = (paint_table({"red": (0.5, y_m, 0.3)}) for y_m in (-0.1, 0.15))
+    return BackendCase(
+        spec=roboneuron_backends()[0],
+        options={"rows": 12},
+        observe=lambda: observe(image),
+        observe_next=lambda: observe(moved),
+        row_tolerance=1e-9,
+    )

@@ -23,6 +23,8 @@ class BackendCase(Case[BackendSpec]):
         predict_limit_s: how long the quickest of three predictions may take [s].
         row_tolerance: how far a backend that declares `conditions_on_rows` may leave the committed rows [m, rad,
             opening]; less than without conditioning. Required of such a backend.
+        observe_next: makes what is seen after that, for rules about rows that are played meanwhile; with negative
+            pictures and another instruction when None.
     """
 
     subject: ClassVar[str] = "backend"
@@ -32,6 +34,7 @@ class BackendCase(Case[BackendSpec]):
     acceleration: Callable[[], AnyAcceleration] | None = None
     predict_limit_s: float = 1.0
     row_tolerance: float | None = None
+    observe_next: Callable[[], Observation] | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the inference module calls it."""
@@ -48,7 +51,17 @@ class BackendCase(Case[BackendSpec]):
 
     def observation(self) -> Observation:
         """What the backend sees: required roles only, state only when declared."""
-        whole = make_observation(self.spec) if self.observe is None else self.observe()
+        return self._declared(make_observation(self.spec) if self.observe is None else self.observe())
+
+    def next_observation(self) -> Observation:
+        """Something else, to which the backend answers something else; likewise."""
+        if self.observe_next is not None:
+            return self._declared(self.observe_next())
+        now = self.observation()
+        frames = {role: replace(frame, image=255 - frame.image) for role, frame in now.frames.items()}
+        return replace(now, frames=frames, instruction="put it down")
+
+    def _declared(self, whole: Observation) -> Observation:
         frames = {role: frame for role, frame in whole.frames.items() if role in self.spec.cameras}
         if self.spec.needs_state:
             return replace(whole, frames=frames)

@@ -223,7 +223,11 @@ class InferenceModule(Module):
             self._instruction.is_new = False
             self._backend.reset()
         started_s = time.monotonic()
-        chunk = self._backend.predict(prediction.observation)
+        try:
+            chunk = self._backend.predict(prediction.observation)
+        except Exception:
+            self._executor.drop()  # rows that were planned before must not go on when the newest image is refused
+            raise
         took_s = time.monotonic() - started_s
         self._took_s.append(took_s)
         self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)

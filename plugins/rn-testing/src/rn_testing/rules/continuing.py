@@ -24,12 +24,6 @@ MOVED_M = 0.05
 """How far the TCP is moved for a predicted state."""
 
 
-def _other(observation: Observation) -> Observation:
-    """What is seen and asked for next: other pictures, another instruction."""
-    frames = {role: replace(frame, image=255 - frame.image) for role, frame in observation.frames.items()}
-    return replace(observation, frames=frames, instruction="put it down")
-
-
 def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return float(np.abs(one - other).max()) if one.shape == other.shape else np.inf
 
@@ -97,10 +91,11 @@ class ContinuingRules:
         observation = case.observation()
         with self.running(case) as backend:
             first = self._first(case, backend, observation)
-            free = self.predict(case, backend, _other(observation))
+            following = case.next_observation()
+            free = self.predict(case, backend, following)
             again = self._first(case, backend, observation)
             ahead = _ahead_of(again, case.spec.max_committed_rows)
-            bound = self.predict(case, backend, replace(_other(observation), ahead=ahead))
+            bound = self.predict(case, backend, replace(following, ahead=ahead))
         count = ahead.committed_rows
         said = bound.conditioned_rows
         require(said >= count, f"{count} rows were committed, conditioned_rows says {said}")

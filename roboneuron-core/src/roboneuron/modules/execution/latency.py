@@ -9,8 +9,6 @@ import numpy as np
 
 WINDOW = 50
 """Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not slow the arm for ever."""
-_ENOUGH_FOR_P99 = 100
-"""With fewer samples than this a 99th percentile is a guess; the greatest value is taken instead."""
 
 
 class LatencyWindow:
@@ -48,12 +46,8 @@ class LatencyWindow:
 
     @property
     def p99_s(self) -> float | None:
-        """99th percentile, or the greatest of few values [s]; None before the first answer."""
-        if not self._values:
-            return self._first
-        if len(self._values) < _ENOUGH_FOR_P99:
-            return max(self._values)
-        return float(np.percentile(self._values, 99))
+        """99th percentile [s], which of so few values is the greatest; None before the first answer."""
+        return max(self._values) if self._values else self._first
 
 
 def rows_in(duration_s: float, step_s: float) -> int:
