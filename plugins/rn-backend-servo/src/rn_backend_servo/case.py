@@ -69,13 +69,20 @@ def observe(
     )
 
 
+def _grained(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The image with one grey value changed by the time, as a camera never gives the same picture twice."""
+    grained = image.copy()
+    grained[0, time.time_ns() // 1000 % SIDE_PX] ^= 1
+    return grained
+
+
 def contract_case() -> BackendCase:
     """`servo` above a table with a red cube."""
     image, moved = (paint_table({"red": (0.5, y_m, 0.3)}) for y_m in (-0.1, 0.15))
     return BackendCase(
         spec=roboneuron_backends()[0],
         options={"rows": 12},
-        observe=lambda: observe(image),
-        observe_next=lambda: observe(moved),
+        observe=lambda: observe(_grained(image)),
+        observe_next=lambda: observe(_grained(moved)),
         row_tolerance=1e-9,
     )

@@ -14,7 +14,6 @@ from roboneuron.gate.audit import AuditRecord
 from roboneuron.gate.request import OPERATOR
 from roboneuron.modules.settings import RECOVER_PARAMETER
 from roboneuron.server.feature import Feature
-from roboneuron.supervisor.lifecycle import ParameterClient
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -97,7 +96,7 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     write("allowed", "asks the robot to recover")  # first: without an audit nothing is released
     number = time.time_ns() // 1_000_000
     node = f"/{view.choice.settings.status_name}"
-    client = ParameterClient(supervisor.link, supervisor.changes, node, view.process.announce)
+    client = supervisor.parameters(node, view.process)
     if refused := client.set({RECOVER_PARAMETER: number}, _SET_S):
         raise StateError(f"The robot module refused: {refused}.")
 

@@ -16,6 +16,8 @@ from roboneuron.contract import ActionChunk, Ahead, Backend, Observation
 Predict = Callable[[BackendCase, Backend, Observation], ActionChunk]
 COMMITTED = 3
 """Rows that are committed in a trial, where the descriptor and the chunk allow as many."""
+LOOKS = 3
+"""Predictions after a reset until a policy that looks around first acts."""
 SAME = 1e-3
 """As for repeated predictions: what parallel sums on a GPU round differently [m, rad, opening]."""
 REACTS = 1e-6
@@ -76,9 +78,16 @@ class ContinuingRules:
         )
 
     def _first(self, case: BackendCase, backend: Backend, observation: Observation) -> ActionChunk:
-        """The chunk that is running when the next one is computed; the same for every call."""
+        """The first chunk after a reset."""
         backend.reset()
         return self.predict(case, backend, observation)
+
+    def _running(self, case: BackendCase, backend: Backend) -> ActionChunk:
+        """The chunk that is running when the next one is computed; the same for every call."""
+        self._first(case, backend, case.observation())
+        for _ in range(LOOKS - 2):
+            self.predict(case, backend, case.observation())
+        return self.predict(case, backend, case.observation())
 
     def _check_rows_kept(self, case: BackendCase) -> None:
         if not case.spec.conditions_on_rows:
@@ -88,14 +97,12 @@ class ContinuingRules:
             raise NotApplicable("only its own case can name a row_tolerance")
         require(tolerance is not None, "the descriptor declares conditions_on_rows, the case names no row_tolerance")
         assert tolerance is not None
-        observation = case.observation()
-        with self.running(case) as backend:
-            first = self._first(case, backend, observation)
-            following = case.next_observation()
-            free = self.predict(case, backend, following)
-            again = self._first(case, backend, observation)
+        with self.running(case) as backend:  # observed anew each time: some backends refuse a picture that stands still
+            first = self._running(case, backend)
+            free = self.predict(case, backend, case.next_observation())
+            again = self._running(case, backend)
             ahead = _ahead_of(again, case.spec.max_committed_rows)
-            bound = self.predict(case, backend, replace(following, ahead=ahead))
+            bound = self.predict(case, backend, replace(case.next_observation(), ahead=ahead))
         count = ahead.committed_rows
         said = bound.conditioned_rows
         require(said >= count, f"{count} rows were committed, conditioned_rows says {said}")
@@ -111,9 +118,8 @@ class ContinuingRules:
     def _check_ahead_optional(self, case: BackendCase) -> None:
         if not case.spec.conditions_on_rows:
             raise NotApplicable("it does not declare conditions_on_rows")
-        observation = case.observation()
         with self.running(case) as backend:
-            first = self._first(case, backend, observation)
+            first = self._running(case, backend)
             ahead = _ahead_of(first, case.spec.max_committed_rows)
             none = Ahead(rows=np.zeros((0, 7)), committed_rows=0, step_s=first.step_s)
             for what, given in (
@@ -123,7 +129,7 @@ class ContinuingRules:
                 ("with no rows left", none),
                 ("without rows ahead again", None),
             ):
-                chunk = self.predict(case, backend, replace(observation, ahead=given))
+                chunk = self.predict(case, backend, replace(case.observation(), ahead=given))
                 if given is None or not len(given.rows):
                     said = chunk.conditioned_rows
                     require(said == 0, f"{what} the chunk says that it conditioned on {said} rows")
