@@ -16,9 +16,13 @@ settings.register_profile("busy-machine", deadline=None, suppress_health_check=[
 settings.load_profile("busy-machine")
 
 
-def pytest_configure() -> None:
-    """Give this process a ROS domain of its own: what runs side by side on one machine never meets."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
+def pytest_configure(config: pytest.Config) -> None:
+    """Give this process a ROS domain of its own: what runs side by side on one machine never meets.
+
+    A worker of pytest-xdist inherits the domain of the process that distributes the tests, and so would its neighbour.
+    """
+    if hasattr(config, "workerinput") or "ROS_DOMAIN_ID" not in os.environ:
+        os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
 
 
 @pytest.fixture(autouse=True, scope="module")
