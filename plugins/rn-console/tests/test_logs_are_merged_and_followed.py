@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,22 @@ def test_following_shows_what_is_added_begun_anew_and_a_newer_run(state: Path, m
     assert words[2:4] == ["five!", "six"]
     assert words[4].endswith("20260102-101600-43")
     assert words[5:] == ["seven"]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_that_python_drops_ends_following(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while an object is being deleted: Python reports the exception and goes on."""
+
+    class Deleted:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    view = LogView(choose_run(state, None), None, Console(file=io.StringIO()))
+    steps = iter([Deleted, lambda: None, lambda: pytest.fail("it goes on")])
+    monkeypatch.setattr(log_reading.time, "sleep", lambda _: next(steps)())
+    with pytest.raises(KeyboardInterrupt):
+        view.follow(state)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_folder_of_another_kind_is_no_run(state: Path) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,6 +72,26 @@ class _File:
             yield self.stamp, self.module, line
 
 
+@contextmanager
+def _lasting_interrupt() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C was pressed: Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback.
+
+    Source: docs.python.org, "Note on Signal Handlers and Exceptions".
+    """
+    pressed = False
+
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal pressed
+        pressed = True
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 class LogView:
     """Shows one run.
 
@@ -97,16 +119,26 @@ class LogView:
         self._print(lines[-count:] if count else lines)
 
     def follow(self, newest_below: Path | None) -> None:
-        """Print what is added until interrupted; with a state directory go over to a newer run when one begins."""
-        while True:
-            time.sleep(_LOOK_S)
-            self._print(self._new_lines())
-            if newest_below is None:
-                continue
-            newest = next(iter(log_runs(newest_below)), self._run)
-            if newest.time > self._run.time:
-                self._run, self._files = newest, {}
-                self._console.print(Text(f"{newest.path}", style="dim"), soft_wrap=True)
+        """Print what is added until interrupted; with a state directory go over to a newer run when one begins.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C, also where Python would lose it.
+        """
+        with _lasting_interrupt() as interrupted:
+            while True:
+                time.sleep(_LOOK_S)
+                if interrupted():
+                    raise KeyboardInterrupt
+                self._follow_once(newest_below)
+
+    def _follow_once(self, newest_below: Path | None) -> None:
+        self._print(self._new_lines())
+        if newest_below is None:
+            return
+        newest = next(iter(log_runs(newest_below)), self._run)
+        if newest.time > self._run.time:
+            self._run, self._files = newest, {}
+            self._console.print(Text(f"{newest.path}", style="dim"), soft_wrap=True)
 
     def _new_lines(self) -> list[tuple[str, str, str]]:
         for name, path in self._run.files().items():
