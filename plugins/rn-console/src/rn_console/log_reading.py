@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from rn_console.interrupt import lasting_interrupt
 from rn_console.log_runs import LogRun, log_runs
 from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import escaped
@@ -72,26 +71,6 @@ class _File:
             yield self.stamp, self.module, line
 
 
-@contextmanager
-def _lasting_interrupt() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed: Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback.
-
-    Source: docs.python.org, "Note on Signal Handlers and Exceptions".
-    """
-    pressed = False
-
-    def interrupt(number: int, frame: object) -> None:
-        nonlocal pressed
-        pressed = True
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class LogView:
     """Shows one run.
 
@@ -124,7 +103,7 @@ class LogView:
         Raises:
             KeyboardInterrupt: Ctrl-C, also where Python would lose it.
         """
-        with _lasting_interrupt() as interrupted:
+        with lasting_interrupt() as interrupted:
             while True:
                 time.sleep(_LOOK_S)
                 if interrupted():

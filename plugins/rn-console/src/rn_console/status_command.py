@@ -95,18 +95,20 @@ async def _ask(arguments: Namespace) -> int:
 def _listen(arguments: Namespace, directory: Path) -> int:
     """Listen to the modules of this ROS domain."""
     from rn_console.diagnostics import DiagnosticsListener
+    from rn_console.interrupt import lasting_interrupt
 
     listener = DiagnosticsListener(directory)
     listener.open()
     try:
         time.sleep(LISTEN_S)
-        with _Display(arguments) as display:
-            while True:
+        with _Display(arguments) as display, lasting_interrupt() as interrupted:
+            while not interrupted():
                 statuses = listener.read_status()
                 display.show(statuses, listener.servers_elsewhere())
                 if arguments.watch is None:
                     return exit_status(statuses)
                 time.sleep(arguments.watch)
+            raise KeyboardInterrupt
     finally:
         listener.close()
 
