@@ -108,14 +108,16 @@ def test_foreign_requests_are_refused_and_reported_by_name(
     for number, label in ((4, "deactivate"), (7, "shutdown"), (0, "deactivate"), (4, "")):
         request = ChangeState.Request(transition=Transition(id=number, label=label))
         assert not ask(ChangeState, "change_state", request).success
-    answer = ask(SetParameters, "set_parameters", SetParameters.Request(parameters=[sim_time, sim_time]))
-    assert [result.successful for result in answer.results] == [False, False]
+    odd = Parameter(name="instruction", value=ParameterValue(type=99))
+    for parameters in ([sim_time, sim_time], [sim_time, odd]):
+        answer = ask(SetParameters, "set_parameters", SetParameters.Request(parameters=parameters))
+        assert [result.successful for result in answer.results] == [False, False]
     assert "only the server" in answer.results[0].reason
     atomic = SetParametersAtomically.Request(parameters=[sim_time])
     assert not ask(SetParametersAtomically, "set_parameters_atomically", atomic).result.successful
     assert ask(GetState, "get_state", GetState.Request()).current_state.label == "active", "reading is for everybody"
 
-    assert changes.wait_for(lambda: refused() == 6, 5.0)
+    assert changes.wait_for(lambda: refused() == 7, 5.0)
     report = supervisor.view("robot").report
     assert report is not None
     assert report.state == "active"

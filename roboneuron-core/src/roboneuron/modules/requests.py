@@ -18,10 +18,11 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
@@ -44,6 +45,14 @@ def digest_of_transition(number: int, label: str) -> bytes:
 def digest_of_parameters(values: Mapping[str, object]) -> bytes:
     """Of the request to set these parameters."""
     return _digest(["set_parameters", dict(values)])
+
+
+def _digest_of_messages(parameters: Sequence[ParameterMessage]) -> bytes:
+    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would end with it."""
+    try:
+        return digest_of_parameters({p.name: Parameter.from_parameter_msg(p).value for p in parameters})
+    except ValueError:
+        return b""
 
 
 def _digest(content: object) -> bytes:
@@ -105,9 +114,9 @@ class RequestGuard:
                 asked = request.transition
                 what, digest = f"transition {asked.label or asked.id}", digest_of_transition(asked.id, asked.label)
             else:
-                values = {p.name: Parameter.from_parameter_msg(p).value for p in request.parameters}
-                what, digest = f"set {', '.join(values)}", digest_of_parameters(values)
-            if self.announcements.take(digest):
+                what = f"set {', '.join(p.name for p in request.parameters)}"
+                digest = _digest_of_messages(request.parameters)
+            if digest and self.announcements.take(digest):
                 return answer(request, response)
             self._report(what, service.srv_name)
             refused = SetParametersResult(successful=False, reason=_REASON)
