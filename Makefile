@@ -102,6 +102,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_servo.py --added-latency-ms 300
 	$(BIN)/python benchmarks/bench_eval.py
 	$(BIN)/python benchmarks/bench_interfaces.py
+	$(BIN)/python benchmarks/bench_view.py
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
 	$(BIN)/python benchmarks/soak.py $(ARGS)

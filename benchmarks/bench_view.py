@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/bench_view.py [--seconds 20]
 
-Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page, in a headless browser,
+Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page, in a real browser,
 notes when its first picture changes. All clocks are this machine's.
 The stop is measured from the click to the emergency stop's file.
 """
