@@ -67,7 +67,6 @@ def test_the_audit_is_read_on_across_a_rotation(tmp_path):
     path.rename(tmp_path / "audit.jsonl.1")
     path.write_text(lines[3])
     assert [found["tool"] for found in tail.read_new()] == ["tool_2", "tool_3"]
-    tail.close()
 
 
 def test_a_refusal_is_shown_as_bad():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import threading
@@ -10,7 +11,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 _KEPT = 300
 _MOST_TEXT = 300
@@ -97,48 +98,36 @@ def _arguments(arguments: object) -> str:
 
 
 class AuditTail:
-    """New records of an audit that other processes write, across its rotations. For one thread."""
+    """New records of an audit that other processes write, across a rotation. For one thread; no file stays open."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file: BinaryIO | None = None
+        self._rotated = path.with_name(f"{path.name}.1")
+        self._inode = 0
+        self._offset = 0
         self._rest = b""
 
     def read_new(self) -> list[dict[str, Any]]:
         """Records since the last time; the end of the file the first time. Empty when there is no file."""
-        data, rest = b"", self._rest
-        if self._file is None:
-            self._open(-_FIRST_BYTES)
-        if self._file is not None:
-            data = self._file.read()
-            if self._is_replaced():
-                self._open(0)
-                data += self._file.read()
-        *lines, self._rest = (rest + data).split(b"\n")
+        data = b""
+        with contextlib.suppress(OSError):
+            if self._inode and self._path.stat().st_ino != self._inode:
+                if self._rotated.stat().st_ino == self._inode:
+                    data = self._read(self._rotated)
+                self._inode, self._offset = self._path.stat().st_ino, 0
+            data += self._read(self._path)
+        *lines, self._rest = (self._rest + data).split(b"\n")
         return [record for line in lines if (record := _record(line)) is not None]
 
-    def close(self) -> None:
-        """Read its end again the next time."""
-        if self._file is not None:
-            self._file.close()
-        self._file, self._rest = None, b""
-
-    def _open(self, offset: int) -> None:
-        self.close()
-        try:
-            self._file = self._path.open("rb")
-        except OSError:
-            return
-        size = os.fstat(self._file.fileno()).st_size
-        self._file.seek(max(0, size + offset) if offset < 0 else 0)
-
-    def _is_replaced(self) -> bool:
-        assert self._file is not None
-        try:
-            there, ours = self._path.stat(), os.fstat(self._file.fileno())
-        except OSError:
-            return False
-        return (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino)
+    def _read(self, path: Path) -> bytes:
+        with path.open("rb") as file:
+            found = os.fstat(file.fileno())
+            if not self._inode:
+                self._inode, self._offset = found.st_ino, max(0, found.st_size - _FIRST_BYTES)
+            file.seek(self._offset)
+            data = file.read()
+            self._offset = file.tell()
+            return data
 
 
 def _record(line: bytes) -> dict[str, Any] | None:
