@@ -22,11 +22,11 @@ COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help test-view demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -39,6 +39,9 @@ demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim/.ready ## the same with the driver of t
 
 test-fr3: $(VENV)/.develop .venv-fr3sim/.ready ## the driver of the real arm against franka-sim
 	$(BIN)/python -m pytest plugins/rn-robot-fr3/tests/test_fci_driver_moves_franka_sim.py $(ARGS)
+
+test-view: $(VENV)/.develop ## the live view in a headless Chromium (Debian: apt-get install chromium)
+	$(BIN)/python -m pytest plugins/rn-view/tests $(ARGS)
 
 bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
 	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
@@ -99,6 +102,7 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 	$(BIN)/python benchmarks/bench_servo.py --added-latency-ms 300
 	$(BIN)/python benchmarks/bench_eval.py
 	$(BIN)/python benchmarks/bench_interfaces.py
+	$(BIN)/python benchmarks/bench_view.py
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
 	$(BIN)/python benchmarks/soak.py $(ARGS)
@@ -159,5 +163,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers mujoco franky-control)
+	  ros-jazzy-test-msgs transformers mujoco franky-control playwright)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-bases

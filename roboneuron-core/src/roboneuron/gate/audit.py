@@ -63,6 +63,8 @@ class AuditLog:
         backups: how many rotated files are kept, at least 1.
         """
         self.path = path
+        self.on_record: Callable[[AuditRecord], object] = lambda record: None
+        """Called with each record that was written, on the thread of the writer; must return quickly."""
         self._clock_ns = clock_ns
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
@@ -94,6 +96,7 @@ class AuditLog:
                     hint="Free disk space or mend the permissions of the state directory.",
                 ) from error
             self._failed = False
+        self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:
         """`write` for what must happen without a record too, such as an emergency stop; a failure is logged."""

@@ -35,7 +35,7 @@ class TopicWriter:
         self._link = link
         self._message_type = message_type
         self._type_name = type_name
-        self._topic = topic
+        self.topic = topic
         self._lock = threading.Lock()
         self._publisher: Any = None
         self._key: tuple[object, ...] = ()
@@ -81,10 +81,10 @@ class TopicWriter:
             publisher.publish(message)
 
     def _subscriptions(self) -> list[Any]:
-        found = list(self._link.node.get_subscriptions_info_by_topic(self._topic))
+        found = list(self._link.node.get_subscriptions_info_by_topic(self.topic))
         foreign = [info.topic_type for info in found if info.topic_type != self._type_name]
         if foreign:
-            raise ConfigurationError(f"Topic {self._topic} carries {foreign[0]}, it is exposed as {self._type_name}.")
+            raise ConfigurationError(f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}.")
         return found
 
     def _offer(self, profile: Any) -> None:
@@ -97,7 +97,7 @@ class TopicWriter:
         def make() -> Any:
             if old is not None:
                 node.destroy_publisher(old)
-            return node.create_publisher(self._message_type, self._topic, profile)
+            return node.create_publisher(self._message_type, self.topic, profile)
 
         self._publisher, self._key = self._link.on_executor(make), key
 
@@ -108,7 +108,7 @@ class NewestMessage:
     def __init__(self, link: RosLink, message_type: type, topic: str) -> None:
         self._link = link
         self._message_type = message_type
-        self._topic = topic
+        self.topic = topic
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._newest: tuple[float, Any] | None = None
@@ -123,8 +123,8 @@ class NewestMessage:
         """Subscribe, and wait for a first message for at most `timeout_s`."""
         with self._lock:
             if not self._is_open:
-                infos = self._link.node.get_publishers_info_by_topic(self._topic)
-                self._link.subscribe(self._message_type, self._topic, self._take, requested_qos(infos, 1))
+                infos = self._link.node.get_publishers_info_by_topic(self.topic)
+                self._link.subscribe(self._message_type, self.topic, self._take, requested_qos(infos, 1))
                 self._is_open = True
         self._arrived.wait(timeout_s)
 

@@ -165,6 +165,7 @@ class Application:
         )
         self.loop = ClosedLoop(config, self.plugins, self.supervisor)
         self.loop.on_stop = self.events.stop.tell
+        self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
         self.notices = ToolNotices()

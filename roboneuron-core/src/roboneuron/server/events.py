@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, ParamSpec
 
+from roboneuron.gate.audit import AuditRecord
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.health import Health, ModuleView
 
@@ -43,6 +44,7 @@ class Events:
         stop: a module is about to be stopped because somebody asked for it.
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a word for the fault,
             and facts that JSON can hold.
+        decision: the gate or the emergency stop of this process wrote a record; on the thread that asked.
     """
 
     def __init__(self) -> None:
@@ -52,3 +54,4 @@ class Events:
         self.change: Event[[ModuleKind]] = Event()
         self.stop: Event[[ModuleKind]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
+        self.decision: Event[[AuditRecord]] = Event()

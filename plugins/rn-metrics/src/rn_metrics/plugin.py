@@ -1,0 +1,17 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="metrics",
+    summary="Serves metrics to Prometheus, and sends spans of tool calls by OpenTelemetry.",
+    target="rn_metrics.feature:MetricsFeature",
+    config="rn_metrics.options:MetricsOptions",
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

@@ -1,0 +1,72 @@
+"""Spans of a tool call: the request, each decision of the gate on it, and each message that is published for it.
+
+The MCP SDK makes the span of the request, the core that of a message; both do nothing until a tracer provider is set,
+which is done here. The gate's decision becomes a span when the audit has its record.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from opentelemetry import trace
+from opentelemetry.sdk.resources import Resource
+from opentelemetry.sdk.trace import TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+
+from roboneuron import MissingDependencyError, __version__
+from roboneuron.gate.audit import AuditRecord
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace.export import SpanExporter
+
+_REFUSALS = ("refused", "would_refuse")
+
+
+class Spans:
+    """Sends spans from `open` to `close`.
+
+    Args:
+        exporter: where they go; by batches, on a thread of its own.
+    """
+
+    def __init__(self, exporter: SpanExporter) -> None:
+        resource = Resource.create({"service.name": "roboneuron", "service.version": __version__})
+        self.provider = TracerProvider(resource=resource)
+        self.provider.add_span_processor(BatchSpanProcessor(exporter))
+        self._tracer = self.provider.get_tracer("roboneuron")
+
+    def open(self) -> None:
+        """Become the tracer provider of this process; the first one stays, as OpenTelemetry has it."""
+        trace.set_tracer_provider(self.provider)
+
+    def close(self) -> None:
+        """Send what is left, for at most the exporter's own time-out; idempotent."""
+        self.provider.shutdown()
+
+    def on_decision(self, record: AuditRecord) -> None:
+        """Listener of `Events.decision`, on the thread of the call: its span is the present one."""
+        attributes = {
+            "roboneuron.tool": record.tool,
+            "roboneuron.endpoint": record.endpoint,
+            "roboneuron.verdict": record.verdict,
+            "roboneuron.rule": record.rule,
+        }
+        name = f"gate {record.endpoint or record.tool}"
+        with self._tracer.start_as_current_span(name, attributes=attributes) as span:
+            if record.verdict in _REFUSALS:
+                span.set_status(trace.StatusCode.ERROR, record.reason)
+
+
+def otlp_exporter(endpoint: str) -> SpanExporter:
+    """Sends spans to a collector over HTTP.
+
+    Raises:
+        MissingDependencyError: the extra `otlp` of this package is not installed.
+    """
+    try:
+        from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+    except ImportError as error:
+        raise MissingDependencyError(
+            "[metrics] traces needs the OTLP exporter.", hint="pip install 'rn-metrics[otlp]'"
+        ) from error
+    return OTLPSpanExporter(endpoint=endpoint)

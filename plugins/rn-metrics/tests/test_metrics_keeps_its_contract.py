@@ -1,0 +1,24 @@
+"""The feature keeps its contract, and its package that of plugins."""
+
+import pytest
+
+from rn_metrics.plugin import FEATURE
+from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+
+
+class TestFeature(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=FEATURE)
+
+
+class TestFeatureAtWork(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=FEATURE, options={"prometheus": True, "port": 0})
+
+
+class TestPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-metrics")

@@ -1,0 +1,136 @@
+"""What Prometheus gets from a server whose tools were called."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from urllib.request import urlopen
+
+import anyio
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from rn_metrics.plugin import FEATURE
+from rn_testing.fakes import fake_registry
+from roboneuron.config import parse_config
+from roboneuron.gate.audit import AuditRecord
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.registry import ERROR_META
+from roboneuron.supervisor.supervisor import Supervisor
+
+CONFIG = """
+[robot]
+name = "gantry"
+[metrics]
+prometheus = {prometheus}
+port = 0
+"""
+BOARD = Path(__file__).parents[3] / "docs" / "grafana" / "roboneuron.json"
+
+
+@pytest.fixture
+def serve(tmp_path):
+    """Return a function that makes a server with the feature; nothing is started and no ROS is touched."""
+    made = []
+
+    def make(*, prometheus=True):
+        registry = fake_registry(FEATURE)
+        application = Application(
+            parse_config(CONFIG.format(prometheus=str(prometheus).lower())),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        application.events.open.tell()
+        application.features.start(application.host)
+        return application, application.features.get("metrics")
+
+    yield make
+    for application in made:
+        application.close()
+
+
+def scrape(feature):
+    """Samples by name and labels."""
+    with urlopen(f"http://127.0.0.1:{feature.port}/metrics", timeout=30) as answer:
+        text = answer.read().decode()
+    return {
+        (sample.name, *sorted(sample.labels.items())): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def call(feature, name, **answer):
+    context = SimpleNamespace(method="tools/call", params={"name": name})
+
+    async def next_one(_):
+        return SimpleNamespace(is_error="code" in answer, meta={ERROR_META: answer})
+
+    anyio.run(feature.meters, context, next_one)
+
+
+def test_calls_are_counted_by_tool_and_result(serve):
+    _, feature = serve()
+    call(feature, "get_status")
+    call(feature, "get_status")
+    call(feature, "start_robot", code="state")
+    call(feature, "made up by a client")
+    found = scrape(feature)
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "get_status")] == 2
+    assert found["roboneuron_tool_calls_total", ("result", "state"), ("tool", "start_robot")] == 1
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "unknown")] == 1
+    assert found["roboneuron_tool_call_seconds_count", ("tool", "get_status")] == 2
+
+
+def test_decisions_of_the_gate_are_counted(serve):
+    application, feature = serve()
+    audit = application.host.audit
+    for verdict, rule in (("allowed", ""), ("refused", "rate"), ("refused", "rate")):
+        audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict=verdict, rule=rule))
+    found = scrape(feature)
+    key = "roboneuron_gate_verdicts_total"
+    assert found[key, ("endpoint", "wheels"), ("rule", "rate"), ("verdict", "refused")] == 2
+    assert found[key, ("endpoint", "wheels"), ("rule", ""), ("verdict", "allowed")] == 1
+
+
+def test_an_emergency_stop_is_counted_once_whoever_pressed_it(serve):
+    application, feature = serve()
+    assert scrape(feature)["roboneuron_emergency_stop",] == 0
+    application.loop.emergency_stop.file.press(who="another process", reason="")
+    feature.meters.look()
+    feature.meters.look()
+    found = scrape(feature)
+    assert found["roboneuron_emergency_stop",] == 1
+    assert found["roboneuron_emergency_stops_total",] == 1
+
+
+def test_every_module_has_one_health(serve):
+    _, feature = serve()
+    found = scrape(feature)
+    health = {key[1:]: value for key, value in found.items() if key[0] == "roboneuron_module_health"}
+    assert health[("health", "stopped"), ("module", "robot")] == 1
+    assert sum(health.values()) == 4
+
+
+def test_nothing_listens_unless_asked_for(serve):
+    application, feature = serve(prometheus=False)
+    assert feature.port == 0
+    assert feature.meters is None
+    assert not [middleware for middleware in application.server.middleware if type(middleware).__name__ == "Meters"]
+
+
+def test_the_board_asks_for_metrics_that_there_are(serve):
+    _, feature = serve()
+    names = set()
+    for family in feature.meters.registry.collect():
+        suffixes = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}.get(family.type, ("",))
+        names |= {f"{family.name}{suffix}" for suffix in suffixes}
+    board = json.loads(BOARD.read_text())
+    asked = [target["expr"] for panel in board["panels"] for target in panel.get("targets", ())]
+    assert len(asked) >= 10
+    words = {word for expr in asked for word in expr.replace("(", " ").replace("{", " ").replace("[", " ").split()}
+    wanted = {word for word in words if word.startswith("roboneuron_")}
+    assert wanted <= names, wanted - names

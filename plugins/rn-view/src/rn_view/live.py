@@ -1,0 +1,168 @@
+"""What the server itself knows, and the calls of tools for the buttons."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any, TypeVar, cast
+
+import anyio
+from anyio import to_thread
+
+from rn_view.happenings import AuditTail, Happenings, add_record, failure_of
+from rn_view.source import ModuleRow, Snapshot
+from roboneuron import Host, RobotProfile
+from roboneuron.config import Config
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.plugins.loading import load_target
+from roboneuron.plugins.registry import Registry
+from roboneuron.server.access import Holder
+from roboneuron.server.results import ModuleStatus, module_status
+from roboneuron.supervisor.health import FAULTS, Health, ModuleView
+
+T = TypeVar("T")
+M = TypeVar("M")
+_ORDER: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
+_SHOWN_VERDICTS = ("refused", "would_refuse", "scaled", "held", "latched", "restored", "reset", "lapsed")
+"""What is allowed is in the list as a tool call already."""
+
+
+class LiveSource:
+    """Source of a view in the server's own process."""
+
+    label = "live"
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._audit = AuditTail(host.audit.path)
+        self.happenings = Happenings()
+
+    def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Listener of `Events.health`."""
+        told = view.report.error if view.report is not None and health in FAULTS else ""
+        self.happenings.add(
+            "health", f"{view.kind}: {health}{f': {told}' if told else ''} (was {before})", is_bad=health in FAULTS
+        )
+
+    def on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+        """Listener of `Events.fault`."""
+        self.happenings.add("fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True)
+
+    def config(self) -> Config:
+        """See Source."""
+        return self._host.config
+
+    def profile(self) -> RobotProfile:
+        """See Source."""
+        return robot_profile(self._host.config, self._host.registry)
+
+    def snapshot(self) -> Snapshot:
+        """See Source."""
+        statuses = [module_status(self._host.supervisor.view(kind)) for kind in _ORDER]
+        stop = self._host.loop.emergency_stop
+        is_latched = stop.is_latched()
+        instruction = next((status.instruction for status in statuses if status.module == "inference"), "")
+        return Snapshot(
+            modules=tuple(_row(status) for status in statuses),
+            is_latched=is_latched,
+            cause=stop.cause() if is_latched else "",
+            instruction=instruction,
+        )
+
+    def look(self) -> None:
+        """See Source."""
+        for record in self._audit.read_new():
+            if record["verdict"] in _SHOWN_VERDICTS:
+                add_record(self.happenings, record)
+
+    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+        """See Source."""
+        return self._host.subscribe(message_type, topic, callback)
+
+    def press_stop(self, who: str) -> str:
+        """See Source."""
+        stop = self._host.loop.emergency_stop
+        confirmed, took_s = stop.latch(self._host.config.namespace, who=who, reason="pressed in the live view")
+        return f"Latched after {took_s:.2f} s; confirmed by {', '.join(confirmed) or 'no module: none runs'}."
+
+
+def robot_profile(config: Config, registry: Registry) -> RobotProfile:
+    """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be used."""
+    load = cast("Callable[[], RobotProfile]", load_target(registry.get("robot", config.robot.name)))
+    return load()
+
+
+def _row(status: ModuleStatus) -> ModuleRow:
+    text = f"{status.error.message}" if status.error is not None else ""
+    text = text or (f"waits for {status.waiting_for}" if status.waiting_for else status.note)
+    chosen = status.started_with
+    named = next((chosen[key] for key in ("robot", "source", "backend", "controller") if key in chosen), "")
+    return ModuleRow(
+        kind=status.module,
+        health=status.health,
+        text=text,
+        chosen=named,
+        rate_hz=status.rate_hz,
+        latency_ms=status.latency_ms,
+        latency_p99_ms=status.latency_p99_ms,
+        age_ms=status.age_ms,
+        dropped=status.dropped,
+    )
+
+
+class LiveOperator:
+    """Calls tools on the server's event loop, where every client's calls are made.
+
+    Args:
+        host: the server.
+        release: told who has left, so that another client may operate the robot.
+    """
+
+    def __init__(self, host: Host, release: Callable[[str], object]) -> None:
+        self._host = host
+        self._release = release
+        self.loop: asyncio.AbstractEventLoop | None = None
+
+    def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+        """See Operator."""
+        if self.loop is None:
+            failed: Future[str] = Future()
+            failed.set_result("The server does not serve clients yet.")
+            return failed
+        return asyncio.run_coroutine_threadsafe(self._call(holder, tool, arguments), self.loop)
+
+    def leave(self, holder: Holder) -> None:
+        """See Operator; somebody with a token may have other clients."""
+        if holder.client:
+            self._release(holder.who)
+
+    async def _call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> str:
+        result = await self._host.tools.call(tool, arguments, _Context(holder))
+        return failure_of(result)
+
+
+class _Context:
+    """CallContext of a button."""
+
+    def __init__(self, holder: Holder) -> None:
+        self.who, self.role = holder.who, holder.role
+
+    async def run(
+        self,
+        work: Callable[[Callable[[str], None]], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        """See CallContext; no button makes a motion that would end with its page."""
+        thread = anyio.CapacityLimiter(1)
+        try:
+            return await to_thread.run_sync(lambda: work(lambda _: None), abandon_on_cancel=True, limiter=thread)
+        except anyio.get_cancelled_exc_class():
+            on_cancel()
+            raise
+
+    async def ask(self, question: str) -> bool | None:
+        """See CallContext; a button asks nothing, so the emergency stop is not released here."""
+        return None

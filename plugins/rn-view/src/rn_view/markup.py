@@ -1,0 +1,108 @@
+"""Pieces of the page as HTML; everything that somebody else said is escaped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from html import escape
+
+from rn_view.happenings import Happening
+from rn_view.source import ModuleRow, Snapshot
+from roboneuron import RobotProfile
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS
+
+_GOOD, _IDLE, _BAD, _STARTING = "#2b8a3e", "#868e96", "#c92a2a", "#e67700"
+_SMALL = "font-size:12px;line-height:1.35"
+_NEAR = 0.05
+"""Share of a joint's range within which it is shown as near its limit."""
+
+
+def stop_text(snapshot: Snapshot | None, label: str) -> str:
+    """Whether the emergency stop is latched."""
+    if snapshot is None:
+        return _line("", label)
+    if not snapshot.is_latched:
+        return _line("", f"{escape(label)} &middot; emergency stop not pressed")
+    cause = f": {escape(snapshot.cause)}" if snapshot.cause else ""
+    return (
+        f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP LATCHED</b>{cause}. '
+        "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
+    )
+
+
+def instruction_text(snapshot: Snapshot) -> str:
+    """What the backend was told."""
+    text = escape(snapshot.instruction) or "none"
+    return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b></div>'
+
+
+def modules_table(rows: Sequence[ModuleRow]) -> str:
+    """Health, rates, latencies, ages and drops of the modules."""
+    head = "".join(
+        f'<th style="text-align:{"left" if not i else "right"};font-weight:500;color:{_IDLE}">{word}</th>'
+        for i, word in enumerate(("module", "Hz", "ms", "p99", "age", "drops"))
+    )
+    body = "".join(_module_rows(row) for row in rows)
+    return f'<table style="{_SMALL};width:100%;padding:0 12px;border-spacing:2px 1px"><tr>{head}</tr>{body}</table>'
+
+
+def _module_rows(row: ModuleRow) -> str:
+    colour = _BAD if row.health in FAULTS else _GOOD if row.health == "ok" else _IDLE
+    colour = _STARTING if row.health in ("starting", "stopping", "waiting") else colour
+    dot = f'<span style="color:{colour}" title="{escape(EXPLANATIONS.get(row.health, ""))}">&#9679;</span>'  # type: ignore[call-overload]
+    numbers = (row.rate_hz, row.latency_ms, row.latency_p99_ms, row.age_ms)
+    cells = "".join(f'<td style="text-align:right">{_number(number)}</td>' for number in numbers)
+    chosen = f' <span style="color:{_IDLE}">{escape(row.chosen)}</span>' if row.chosen else ""
+    told = f"{row.health}: {row.text}" if row.text and row.health != "ok" else row.text or row.health
+    told = "" if told == "ok" else told
+    colour = _BAD if row.health in FAULTS else _IDLE
+    return (
+        f"<tr><td>{dot} <b>{escape(row.kind)}</b>{chosen}</td>{cells}"
+        f'<td style="text-align:right">{row.dropped}</td></tr>'
+        f'<tr><td colspan="6" style="color:{colour};padding:0 0 2px 14px">{escape(told[:160])}</td></tr>'
+    )
+
+
+def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
+    """Where each joint is within its limits."""
+    limits = profile.limits
+    if limits is None:
+        return _line("", "This robot has no arm joints.")
+    rows = []
+    for name, lower, upper in zip(profile.arm_joints, limits.lower, limits.upper, strict=True):
+        at = joints.get(name)
+        share = 0.0 if at is None else (at - lower) / (upper - lower)
+        colour = _BAD if at is not None and not _NEAR < share < 1.0 - _NEAR else "#228be6"
+        mark = (
+            ""
+            if at is None
+            else f'<div style="position:absolute;left:{100 * min(1.0, max(0.0, share)):.1f}%;top:-3px;width:4px;'
+            f'height:12px;margin-left:-2px;background:{colour}"></div>'
+        )
+        bar = f'<div style="position:relative;height:6px;background:#dee2e6;border-radius:3px">{mark}</div>'
+        rows.append(
+            f'<tr><td style="white-space:nowrap">{escape(name)}</td><td style="width:45%">{bar}</td>'
+            f'<td style="text-align:right">{_number(at, 2)}</td></tr>'
+        )
+    return f'<table style="{_SMALL};width:100%;padding:0 12px">{"".join(rows)}</table>'
+
+
+def happenings_list(happenings: Sequence[Happening]) -> str:
+    """The newest happenings."""
+    if not happenings:
+        return _line("", "Nothing has happened yet.")
+    rows = "".join(
+        f'<div style="padding:1px 0;overflow-wrap:anywhere;color:{_BAD if happening.is_bad else "inherit"}">'
+        f'<span style="color:{_IDLE}">{time.strftime("%H:%M:%S", time.localtime(happening.at_s))} '
+        f"{escape(happening.what)}</span> {escape(happening.text)}</div>"
+        for happening in happenings
+    )
+    return f'<div style="{_SMALL};padding:2px 14px">{rows}</div>'
+
+
+def _line(style: str, html: str) -> str:
+    return f'<div style="{_SMALL};padding:2px 14px;color:{_IDLE};{style}">{html}</div>'
+
+
+def _number(value: float | None, digits: int = 1) -> str:
+    return "" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,114 @@
+"""What the robot's topics carry while somebody looks: joints, TCP poses, actions, commands and pictures."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_view.source import Source
+from roboneuron import RobotProfile
+from roboneuron.contract import frame_from_buffer
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import PoseStamped
+    from sensor_msgs.msg import Image, JointState
+    from std_msgs.msg import Float64MultiArray
+    from trajectory_msgs.msg import JointTrajectory
+
+log = logging.getLogger(__name__)
+U8 = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+M = TypeVar("M")
+_ACTIONS, _TRAIL = 1200, 400
+_LEAST_STEP_M = 0.002
+"""The trail gets a point when the TCP has moved this far."""
+
+
+class Measured:
+    """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any thread.
+
+    Attributes:
+        joints: measured position [rad or m] by joint name.
+        tcp: measured position [m] (3,) and orientation wxyz (4,) of the TCP in the base frame; None before the first.
+        commanded: positions by joint name that were commanded last; empty before the first command.
+        trail: positions of the TCP [m], oldest first.
+        actions: monotonic time [s] and values (7,) of the newest actions, oldest first.
+        images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
+        news: notified with every picture.
+    """
+
+    def __init__(self, source: Source, profile: RobotProfile) -> None:
+        self._source = source
+        self._profile = profile
+        self._ends: list[Callable[[], None]] = []
+        self.joints: dict[str, float] = {}
+        self.tcp: tuple[F64, F64] | None = None
+        self.commanded: dict[str, float] = {}
+        self.trail: deque[F64] = deque(maxlen=_TRAIL)
+        self.actions: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_ACTIONS)
+        self.images: dict[str, tuple[int, U8, int]] = {}
+        self.news = threading.Condition()
+
+    def open(self) -> None:
+        """Subscribe. Raises RoboNeuronError when ROS cannot be joined."""
+        from geometry_msgs.msg import PoseStamped  # heavy
+        from sensor_msgs.msg import Image, JointState
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        control = self._source.config().control
+        self._take(JointState, "joint_states", self._on_joints)
+        self._take(PoseStamped, "ee_pose", self._on_pose)
+        self._take(Float64MultiArray, "action", self._on_action)
+        if control is not None and control.command == "joint_state":
+            self._take(JointState, "joint_command", self._on_command_state)
+        else:
+            self._take(JointTrajectory, "joint_trajectory", self._on_command)
+        for camera in self._profile.cameras:
+            self._take(Image, f"camera/{camera.name}/image", partial(self._on_image, camera.name))
+
+    def close(self) -> None:
+        """End all subscriptions; idempotent."""
+        while self._ends:
+            self._ends.pop()()
+
+    def _take(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> None:
+        self._ends.append(self._source.subscribe(message_type, topic, callback))
+
+    def _on_joints(self, message: JointState) -> None:
+        self.joints = dict(zip(message.name, message.position, strict=False))
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        at, turn = message.pose.position, message.pose.orientation
+        position = np.array([at.x, at.y, at.z])
+        self.tcp = position, np.array([turn.w, turn.x, turn.y, turn.z])
+        if not self.trail or np.linalg.norm(position - self.trail[-1]) > _LEAST_STEP_M:
+            self.trail.append(position)
+
+    def _on_action(self, message: Float64MultiArray) -> None:
+        self.actions.append((time.monotonic(), tuple(message.data)))
+
+    def _on_command(self, message: JointTrajectory) -> None:
+        if message.points:
+            self.commanded = dict(zip(message.joint_names, message.points[-1].positions, strict=False))
+
+    def _on_command_state(self, message: JointState) -> None:
+        self.commanded = dict(zip(message.name, message.position, strict=False))
+
+    def _on_image(self, camera: str, message: Image) -> None:
+        pixels = frame_from_buffer(
+            message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+        )
+        stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        number = self.images[camera][0] + 1 if camera in self.images else 1
+        with self.news:
+            self.images[camera] = number, pixels, stamp_ns
+            self.news.notify_all()

@@ -1,0 +1,228 @@
+"""One page: what one client sees, and what it may press."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, Protocol
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from rn_view import markup
+from rn_view.measured import Measured
+from rn_view.plots import History, Plots
+from rn_view.scene import Scene
+from rn_view.source import Snapshot, Source
+from roboneuron import RoboNeuronError, RobotProfile
+from roboneuron.gate.request import OPERATOR, has_role
+from roboneuron.server.access import Holder
+
+log = logging.getLogger(__name__)
+_LEFT_PX = 310
+_LINES = 40
+_MODULES = ("robot", "perception", "control", "inference")
+_JPEG_QUALITY = 80
+_BLANK_PX = 320
+_NOTICE_S = 8.0
+_TRIES = 5
+"""Wrong tokens a page may give; it has to be loaded again then."""
+
+
+class Operator(Protocol):
+    """Calls tools for a page; the page of a view without one has no buttons but the stop."""
+
+    def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+        """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns at once."""
+        ...
+
+    def leave(self, holder: Holder) -> None:
+        """The page of this holder was closed."""
+        ...
+
+
+class Page:
+    """The page of one client.
+
+    The stop button is there from the beginning; everything else when it is known who looks.
+    """
+
+    def __init__(
+        self, client: viser.ClientHandle, source: Source, operator: Operator | None,
+        admit: Callable[[str], Holder | None],
+    ) -> None:  # fmt: skip
+        """Args:
+        admit: whose token a text is; None for nobody's.
+        """
+        self.client = client
+        self.holder: Holder | None = None
+        self._source = source
+        self._operator = operator
+        self._admit = admit
+        self._lock = threading.Lock()
+        self._content: _Content | None = None
+        self._login: Any = None
+        self._tries = _TRIES
+        self._is_gone = False
+        button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
+        button.on_click(lambda _: self._press_stop())
+        self._stop_text = client.gui.add_html(markup.stop_text(None, source.label))
+
+    @property
+    def is_admitted(self) -> bool:
+        """Whether it is known who looks."""
+        return self._content is not None
+
+    def ask_token(self, on_admitted: Callable[[], None]) -> None:
+        """Show a form for the token."""
+        with self.client.gui.add_form(None) as form:
+            token = self.client.gui.add_text("Token", "", hint="as in [[http.tokens]]")
+            send = self.client.gui.add_button("Look")
+        send.on_click(lambda _: form.submit())
+
+        def check(_: Any) -> None:
+            given = token.value.strip()
+            form.remove()
+            holder = self._admit(given)
+            if holder is not None:
+                self.holder = holder
+                on_admitted()
+                return
+            self.tell("No access", "This is nobody's token.", is_bad=True)
+            self._tries -= 1
+            if self._tries:
+                self.ask_token(on_admitted)
+
+        form.on_submit(check)
+
+    def show(self, profile: RobotProfile, history: History) -> None:
+        """Build everything else, for the holder."""
+        assert self.holder is not None
+        buttons = None if self._operator is None or not has_role(self.holder.role, OPERATOR) else self._call
+        with self._lock:
+            self._content = _Content(self.client, self._source, profile, history, buttons)
+
+    def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
+        """Show the state: a few times a second."""
+        with self._lock:
+            if self._is_gone:
+                return
+            self._stop_text.content = markup.stop_text(snapshot, self._source.label)
+            if self._content is not None:
+                self._content.update_state(snapshot, measured)
+
+    def update_motion(self, measured: Measured) -> None:
+        """Show what moves: many times a second."""
+        with self._lock:
+            if self._content is not None and not self._is_gone:
+                with self.client.atomic():
+                    self._content.scene.update(measured)
+
+    def show_picture(self, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
+        """Show a camera's picture."""
+        with self._lock:
+            if self._content is not None and not self._is_gone:
+                self._content.show_picture(camera, pixels, in_scene=in_scene)
+                self.client.flush()
+
+    def tell(self, title: str, text: str, *, is_bad: bool) -> None:
+        """Show a notice for a while."""
+        self.client.add_notification(title, text, auto_close_seconds=_NOTICE_S, color="red" if is_bad else "green")
+
+    def leave(self) -> None:
+        """The client is gone."""
+        self._is_gone = True
+        if self._operator is not None and self.holder is not None:
+            self._operator.leave(self.holder)
+
+    def _press_stop(self) -> None:
+        who = self.holder.who if self.holder is not None else f"a view without a token ({self.client.client_id})"
+        try:
+            told = self._source.press_stop(who)
+            self.tell("Emergency stop", told, is_bad=False)
+        except RoboNeuronError as error:
+            log.error("%s", error)
+            self.tell("Emergency stop", str(error), is_bad=True)
+
+    def _call(self, tool: str, arguments: dict[str, Any]) -> None:
+        assert self._operator is not None
+        assert self.holder is not None
+
+        def told(future: Future[str]) -> None:
+            failure = str(future.exception() or "") or future.result()
+            self.tell(tool, failure or "done", is_bad=bool(failure))
+
+        self._operator.call(self.holder, tool, arguments).add_done_callback(told)
+
+
+class _Content:
+    """What a page shows to whom it knows."""
+
+    def __init__(
+        self, client: viser.ClientHandle, source: Source, profile: RobotProfile, history: History,
+        call: Callable[[str, dict[str, Any]], None] | None,
+    ) -> None:  # fmt: skip
+        gui = client.gui
+        self._source = source
+        self._profile = profile
+        self._history = history
+        self._gui = gui
+        self._instruction = gui.add_html("")
+        if call is not None:
+            self._add_buttons(call)
+        self._modules = gui.add_html("")
+        with gui.add_folder("What happened"):
+            self._list = gui.add_html("")
+        left = gui.add_panel()
+        with left.add_tab("Cameras"):
+            self._images = {
+                camera.name: gui.add_image(
+                    np.full((_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3), 40, dtype=np.uint8),
+                    label=f"{camera.name} ({camera.role})",
+                    format="jpeg",
+                    jpeg_quality=_JPEG_QUALITY,
+                )
+                for camera in profile.cameras
+            }
+            if not profile.cameras:
+                gui.add_markdown("This robot has no camera.")
+        with left.add_tab("Plots"):
+            self._plots = Plots(gui)
+        with left.add_tab("Joints"):
+            self._joints = gui.add_html("")
+        left.dock_left()
+        left.set_width(_LEFT_PX)
+        self.scene = Scene(client, profile, source.config())
+        self._count = -1
+
+    def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
+        self._instruction.content = markup.instruction_text(snapshot)
+        self._modules.content = markup.modules_table(snapshot.modules)
+        self._joints.content = markup.joints_table(self._profile, measured.joints)
+        count = self._source.happenings.count
+        if count != self._count:
+            self._list.content = markup.happenings_list(self._source.happenings.newest(_LINES))
+            self._count = count
+        self._plots.update(list(measured.actions), self._history)
+
+    def show_picture(self, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
+        self._images[camera].image = pixels
+        if in_scene:
+            self.scene.show_picture(camera, pixels)
+
+    def _add_buttons(self, call: Callable[[str, dict[str, Any]], None]) -> None:
+        gui = self._gui
+        with gui.add_form("Operate") as form:
+            text = gui.add_text("Instruction", "")
+            send = gui.add_button("Give the instruction")
+            start = gui.add_button_group("Start", _MODULES)
+            stop = gui.add_button_group("Stop", (*_MODULES, "all"))
+            take = gui.add_button("Take over", hint="become the operator: the one client that may call what acts")
+        send.on_click(lambda _: form.submit())
+        form.on_submit(lambda _: call("set_instruction", {"instruction": text.value}))
+        start.on_click(lambda _: call(f"start_{start.value}", {}))
+        stop.on_click(lambda _: call(f"stop_{stop.value}", {}))
+        take.on_click(lambda _: call("take_over", {}))

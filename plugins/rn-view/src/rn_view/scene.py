@@ -1,0 +1,166 @@
+"""The robot and what surrounds it, in three dimensions, on one page."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_view.measured import Measured
+from roboneuron import RobotProfile
+from roboneuron.config import Config
+from roboneuron.gate.motion.rules import MotionRules, collision_of, motion_rules
+
+if TYPE_CHECKING:
+    import viser
+    import yourdfpy
+
+log = logging.getLogger(__name__)
+F64 = NDArray[np.float64]
+_BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (40, 130, 200), (150, 140, 125), (210, 60, 50), (235, 120, 20)
+_TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
+_FRUSTUM_M = 0.12
+_TARGET_M = 0.018
+
+
+class RobotModel:
+    """A robot's kinematics and shapes from its URDF.
+
+    Raises:
+        ValueError: yourdfpy cannot read the URDF.
+    """
+
+    def __init__(self, profile: RobotProfile) -> None:
+        import yourdfpy  # heavy
+
+        self.profile = profile
+        self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(profile.urdf.encode()))
+
+    def configuration(self, joints: Mapping[str, float]) -> F64:
+        """Positions in the order of the URDF; 0 for a joint that is not known."""
+        return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
+
+    def tcp_of(self, joints: Mapping[str, float]) -> F64:
+        """Pose (4, 4) of the TCP in the base frame at these positions; leaves the model there."""
+        self.urdf.update_cfg(self.configuration(joints))
+        return np.asarray(self.urdf.get_transform(self.profile.tcp_link, self.profile.base_link), dtype=np.float64)
+
+
+class Scene:
+    """What one page shows in three dimensions; `update` moves it. Used by one thread at a time."""
+
+    def __init__(self, client: viser.ClientHandle, profile: RobotProfile, config: Config) -> None:
+        from viser.extras import ViserUrdf  # heavy
+
+        self._scene = client.scene
+        self._profile = profile
+        self._shown: tuple[object, object, int] = (None, None, 0)
+        self._target_at: Mapping[str, float] = {}
+        self._model = RobotModel(profile) if profile.urdf else None
+        self._arm = ViserUrdf(client, self._model.urdf, root_node_name="/robot") if self._model is not None else None
+        if self._model is not None:
+            home = {} if profile.home_rad is None else dict(zip(profile.arm_joints, profile.home_rad, strict=True))
+            self._move(home)
+        self._tcp = self._scene.add_frame("/tcp", axes_length=0.08, axes_radius=0.004, visible=False)
+        self._target = self._scene.add_icosphere(
+            "/target", radius=_TARGET_M, color=_TARGET_RGB, opacity=0.75, visible=False
+        )
+        self._trail: Any = None
+        self._pictures = {camera.name: self._add_camera(camera) for camera in profile.cameras if camera.calibration}
+        limits = motion_rules(config.limits, profile)
+        self._add_limits(limits, config)
+        self._look_from(client, limits)
+
+    def update(self, measured: Measured) -> None:
+        """Show what is measured now."""
+        if self._model is not None and measured.joints is not self._shown[0]:
+            self._move(measured.joints)
+        if measured.tcp is not None and measured.tcp is not self._shown[1]:
+            self._tcp.position, self._tcp.wxyz = measured.tcp
+            self._tcp.visible = True
+        if self._model is not None and measured.commanded and measured.commanded is not self._target_at:
+            self._target_at = measured.commanded
+            self._target.position = self._model.tcp_of({**measured.joints, **measured.commanded})[:3, 3]
+            self._target.visible = True
+        trail = list(measured.trail)
+        if len(trail) > 1 and len(trail) + hash(trail[-1].tobytes()) != self._shown[2]:
+            points = np.stack([trail[:-1], trail[1:]], axis=1)
+            if self._trail is not None:
+                self._trail.remove()
+            self._trail = self._scene.add_line_segments(
+                "/trail", points=points, colors=_TRAIL_RGB, thickness=2.0, thickness_units="screen"
+            )
+        mark = len(trail) + hash(trail[-1].tobytes()) if trail else 0
+        self._shown = (measured.joints, measured.tcp, mark)
+
+    def show_picture(self, camera: str, pixels: NDArray[np.uint8]) -> None:
+        """Show a picture where the camera stands."""
+        if camera in self._pictures:
+            self._pictures[camera].image = pixels
+
+    def _move(self, joints: Mapping[str, float]) -> None:
+        assert self._model is not None
+        assert self._arm is not None
+        self._arm.update_cfg(self._model.configuration(joints))
+
+    def _add_camera(self, camera: Any) -> Any:
+        calibration = camera.calibration
+        place = "/tcp/" if calibration.mount == "tcp" else "/cameras/"
+        turn = _wxyz(calibration.T_mount_camera[:3, :3])
+        return self._scene.add_camera_frustum(
+            f"{place}{camera.name}",
+            fov=2.0 * float(np.arctan2(camera.height / 2.0, calibration.intrinsics[1, 1])),
+            aspect=camera.width / camera.height,
+            scale=_FRUSTUM_M if calibration.mount == "base" else _FRUSTUM_M / 3.0,
+            thickness=1.5,
+            thickness_units="screen",
+            color=_CAMERA_RGB,
+            wxyz=turn,
+            position=calibration.T_mount_camera[:3, 3],
+        )
+
+    def _add_limits(self, limits: MotionRules, config: Config) -> None:
+        """The workspace box as lines, forbidden zones and obstacles as boxes."""
+        if np.isfinite(limits.lower_m).all() and np.isfinite(limits.upper_m).all():
+            lower, upper = limits.lower_m, limits.upper_m
+            self._scene.add_line_segments(
+                "/workspace", points=_edges(lower, upper), colors=_BOX_RGB, thickness=1.5, thickness_units="screen"
+            )
+            self._scene.add_label("/workspace/label", "workspace of the TCP", position=upper, font_screen_scale=0.8)
+        for zone in limits.zones:
+            self._add_box(f"/zones/{zone.name}", zone.lower_m, zone.upper_m, _ZONE_RGB, 0.25)
+        collision = collision_of(config.limits, self._profile)
+        boxes = collision.obstacles if collision is not None else ()
+        for box in boxes:
+            self._add_box(f"/obstacles/{box.name}", box.lower_m, box.upper_m, _OBSTACLE_RGB, 0.35)
+        floor_m = min((float(box.lower_m[2]) for box in boxes), default=0.0)
+        self._scene.add_grid("/grid", 6.0, 6.0, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, floor_m))
+
+    def _add_box(self, name: str, lower: F64, upper: F64, rgb: tuple[int, int, int], opacity: float) -> None:
+        self._scene.add_box(
+            name, color=rgb, dimensions=upper - lower, position=(lower + upper) / 2.0, opacity=opacity,
+            cast_shadow=False,
+        )  # fmt: skip
+
+    def _look_from(self, client: viser.ClientHandle, limits: MotionRules) -> None:
+        box = np.stack([limits.lower_m, limits.upper_m])
+        centre = box.mean(axis=0) * np.array([0.8, 1.0, 0.9]) if np.isfinite(box).all() else np.array([0.3, 0.0, 0.3])
+        client.camera.position = centre + np.array([0.95, -1.15, 0.65])
+        client.camera.look_at = centre
+
+
+def _edges(lower: F64, upper: F64) -> F64:
+    """The twelve edges of a box, (12, 2, 3)."""
+    corners = [np.where([i & 1, i & 2, i & 4], upper, lower) for i in range(8)]
+    pairs = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
+    return np.array([[corners[a], corners[b]] for a, b in pairs])
+
+
+def _wxyz(rotation: F64) -> F64:
+    from viser.transforms import SO3  # heavy
+
+    return np.asarray(SO3.from_matrix(rotation).wxyz, dtype=np.float64)

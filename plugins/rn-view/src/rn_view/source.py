@@ -1,0 +1,99 @@
+"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from rn_view.happenings import Happenings
+from roboneuron import RobotProfile
+from roboneuron.config import Config
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModuleRow:
+    """One module as the page shows it; numbers are None when the module does not say them.
+
+    Attributes:
+        kind, health: which one, and a word of `roboneuron.supervisor.health.EXPLANATIONS`.
+        text: what it does, waits for or fails with, in its own words.
+        chosen: what it was started with, such as the name of the backend.
+        rate_hz, latency_ms, latency_p99_ms, age_ms: of its output.
+        dropped: inputs not acted on.
+    """
+
+    kind: str
+    health: str
+    text: str = ""
+    chosen: str = ""
+    rate_hz: float | None = None
+    latency_ms: float | None = None
+    latency_p99_ms: float | None = None
+    age_ms: float | None = None
+    dropped: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Snapshot:
+    """The state at one moment.
+
+    Attributes:
+        modules: in the usual order of starting.
+        is_latched, cause: the emergency stop, and who pressed it and why.
+        instruction: what the backend was told.
+    """
+
+    modules: tuple[ModuleRow, ...] = ()
+    is_latched: bool = False
+    cause: str = ""
+    instruction: str = ""
+
+
+class Source(Protocol):
+    """Where a page's facts come from. Usable from any thread.
+
+    Attributes:
+        happenings: what happened, newest last.
+        label: says on the page which kind of view it is.
+    """
+
+    @property
+    def happenings(self) -> Happenings: ...
+
+    @property
+    def label(self) -> str: ...
+
+    def config(self) -> Config:
+        """The configuration with the robot that runs now."""
+        ...
+
+    def profile(self) -> RobotProfile:
+        """The robot's profile. Raises RoboNeuronError when its plugin cannot be used."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """The present state."""
+        ...
+
+    def look(self) -> None:
+        """Read what is only read while somebody looks, such as the audit; adds to `happenings`."""
+        ...
+
+    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+        """Call `callback` with each message of a topic under the robot's namespace; returns what ends it.
+
+        Raises:
+            RoboNeuronError: ROS cannot be joined.
+        """
+        ...
+
+    def press_stop(self, who: str) -> str:
+        """Latch the emergency stop; blocks until it is confirmed and says by whom.
+
+        Raises:
+            RoboNeuronError: it could not be written or was not confirmed.
+        """
+        ...

@@ -1,0 +1,129 @@
+"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file and the audit."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from rn_console.diagnostics import DiagnosticsListener
+from rn_console.status import ModuleStatus, ServerStatus
+from rn_view.happenings import AuditTail, Happenings, add_record
+from rn_view.live import robot_profile
+from rn_view.source import ModuleRow, Snapshot
+from roboneuron import RobotProfile
+from roboneuron.config import Config
+from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
+from roboneuron.gate.audit import AuditLog
+from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
+from roboneuron.gate.estop import EmergencyStopLatch
+from roboneuron.plugins.registry import Registry
+from roboneuron.supervisor.health import FAULTS
+
+M = TypeVar("M")
+_ORDER = ("robot", "perception", "inference", "control")
+
+
+class AttachedSource:
+    """Source of a view in a process of its own. It publishes nothing; its stop is the file that every module looks at.
+
+    Args:
+        config: of the server that is looked at.
+        registry: the plugins installed here; the robot's must be among them.
+        state_directory: of that server.
+    """
+
+    label = "attached"
+
+    def __init__(self, config: Config, registry: Registry, state_directory: Path) -> None:
+        self._config = config
+        self._registry = registry
+        self._state_directory = state_directory
+        self._diagnostics = DiagnosticsListener(state_directory)
+        self._audit = AuditTail(state_directory / AUDIT_NAME)
+        self._healths: dict[str, str] = {}
+        self.happenings = Happenings()
+
+    def open(self) -> None:
+        """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
+        self._diagnostics.open()
+        from roboneuron.ros.link import RosLink  # heavy
+
+        self._link = RosLink(f"roboneuron_view_{os.getpid()}")
+        self._link.open()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._link.close()
+        self._diagnostics.close()
+
+    def config(self) -> Config:
+        """See Source."""
+        return self._config
+
+    def profile(self) -> RobotProfile:
+        """See Source."""
+        return robot_profile(self._config, self._registry)
+
+    def snapshot(self) -> Snapshot:
+        """See Source."""
+        status = self._status()
+        modules = {module.module: module for module in status.modules}
+        inference = modules.get("inference")
+        rows = tuple(_row(kind, modules.get(kind)) for kind in _ORDER)
+        for row in rows:
+            before = self._healths.get(row.kind, "stopped")
+            if row.health != before:
+                text = f"{row.kind}: {row.health} (was {before})"
+                self.happenings.add("health", text, is_bad=row.health in FAULTS)
+            self._healths[row.kind] = row.health
+        return Snapshot(
+            modules=rows,
+            is_latched=status.emergency_stop,
+            cause=status.emergency_stop_cause,
+            instruction=inference.instruction if inference is not None else "",
+        )
+
+    def look(self) -> None:
+        """See Source."""
+        for record in self._audit.read_new():
+            add_record(self.happenings, record)
+
+    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+        """See Source."""
+        from roboneuron.ros.qos import requested_qos  # heavy
+
+        place = f"/{self._config.namespace}/{topic}"
+        qos = requested_qos(self._link.node.get_publishers_info_by_topic(place), 1)
+        return self._link.subscribe(message_type, place, callback, qos)
+
+    def press_stop(self, who: str) -> str:
+        """See Source: written as `roboneuron estop` does."""
+        latch = EmergencyStopLatch(self._state_directory / LATCH_NAME, time.time_ns)
+        audit = AuditLog(self._state_directory / AUDIT_NAME, time.time_ns)
+        latch.latch(who=who, reason="pressed in the attached view", audit=audit)
+        audit.close()
+        return "Latched in the file that every module looks at 50 times a second."
+
+    def _status(self) -> ServerStatus:
+        found = self._diagnostics.read_status()
+        return next((status for status in found if status.namespace == self._config.namespace), found[0])
+
+
+def _row(kind: str, module: ModuleStatus | None) -> ModuleRow:
+    if module is None:
+        return ModuleRow(kind=kind, health="stopped")
+    error = module.error.message if module.error is not None else ""
+    waits = f"waits for {module.waiting_for}" if module.waiting_for else ""
+    return ModuleRow(
+        kind=kind,
+        health=module.health,
+        text=error or waits or module.note,
+        rate_hz=module.rate_hz,
+        latency_ms=module.latency_ms,
+        latency_p99_ms=module.latency_p99_ms,
+        age_ms=module.age_ms,
+        dropped=module.dropped,
+    )

@@ -1,0 +1,81 @@
+"""A button is a tool call like any client's: roles are checked by the server, not by what a page shows."""
+
+from __future__ import annotations
+
+import asyncio
+
+import anyio
+import pytest
+
+from rn_serve_http.plugin import FEATURE as HTTP
+from rn_testing.fakes import fake_registry
+from rn_view.live import LiveOperator, LiveSource
+from rn_view.plugin import FEATURE
+from rn_view_attached.source import AttachedSource
+from roboneuron.config import parse_config
+from roboneuron.gate.audit import AuditRecord
+from roboneuron.server.access import Holder
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+
+VIEWER, OPERATOR = Holder(who="eve", role="viewer"), Holder(who="ann", role="operator")
+
+
+@pytest.fixture
+def application(tmp_path):
+    """A server of the fakes; nothing is started and no ROS is touched."""
+    registry = fake_registry(FEATURE, HTTP)
+    application = Application(
+        parse_config('[robot]\nname = "gantry"\n'),
+        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+    )
+    yield application
+    application.close()
+
+
+def press(application, holder, tool):
+    """What a page is told of its button."""
+    operator = LiveOperator(application.host, lambda who: None)
+
+    async def call():
+        operator.loop = asyncio.get_running_loop()
+        return await asyncio.wrap_future(operator.call(holder, tool, {}))
+
+    return anyio.run(call)
+
+
+def test_a_viewer_may_not_act_and_an_operator_may(application):
+    assert "needs the role 'operator'" in press(application, VIEWER, "stop_all")
+    assert press(application, OPERATOR, "stop_all") == ""
+
+
+def test_no_button_releases_the_emergency_stop(application):
+    application.loop.emergency_stop.file.press(who="somebody", reason="")
+    assert "Only a person releases" in press(application, Holder(who="root", role="admin"), "reset_emergency_stop")
+    assert application.loop.emergency_stop.is_latched()
+
+
+def test_a_server_that_serves_nobody_yet_says_so(application):
+    assert LiveOperator(application.host, lambda who: None).call(OPERATOR, "stop_all", {}).result(1)
+
+
+def test_the_state_and_what_the_gate_refused_are_shown(application):
+    source = LiveSource(application.host)
+    assert next((row.kind, row.health) for row in source.snapshot().modules) == ("robot", "stopped")
+    application.loop.emergency_stop.file.press(who="ann", reason="too fast")
+    assert source.snapshot().is_latched
+    assert "ann" in source.snapshot().cause
+    application.host.audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="x", verdict="allowed"))
+    application.host.audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict="refused"))
+    source.look()
+    assert ["wheels" in happening.text for happening in source.happenings.newest(5)] == [True]
+
+
+def test_the_stop_of_a_view_beside_a_server_is_the_servers(application):
+    config = application.loop.config
+    source = AttachedSource(config, application.plugins.current(), application.supervisor.state_directory)
+    source.press_stop("a visitor")
+    assert application.loop.emergency_stop.is_latched()
+    assert "a visitor" in application.loop.emergency_stop.cause()

@@ -1,0 +1,88 @@
+"""Tool calls and records of the audit as lines of the page."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import anyio
+import pytest
+
+from rn_view.happenings import AuditTail, Happenings, ToolCalls, add_record
+from rn_view.markup import happenings_list, modules_table, stop_text
+from rn_view.source import ModuleRow, Snapshot
+
+
+def calls(result):
+    """What is listed of one call with that result."""
+    happenings = Happenings()
+    context = SimpleNamespace(method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}})
+
+    async def answer(_):
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    async def run():
+        return await ToolCalls(happenings)(context, answer)
+
+    if isinstance(result, Exception):
+        with pytest.raises(type(result)):
+            anyio.run(run)
+    else:
+        assert anyio.run(run) is result
+    return sorted(happenings.newest(9), key=lambda happening: "..." not in happening.text)
+
+
+def test_a_call_is_listed_when_it_begins_and_ends():
+    begun, done = calls(SimpleNamespace(is_error=False, content=[]))
+    assert begun.text == 'start_robot(driver="simulated") ...'
+    assert "done" in done.text
+    assert not done.is_bad
+
+
+def test_a_refused_call_is_listed_with_its_reason():
+    failed = calls(SimpleNamespace(is_error=True, content=[SimpleNamespace(text="it runs already")]))[1]
+    assert failed.is_bad
+    assert "it runs already" in failed.text
+    assert calls(ValueError("x"))[1].is_bad
+
+
+def record(number):
+    return {"time_ns": number, "verdict": "refused", "tool": f"tool_{number}", "who": "agent"}
+
+
+def test_the_audit_is_read_on_across_a_rotation(tmp_path):
+    path = tmp_path / "audit.jsonl"
+    tail = AuditTail(path)
+    assert tail.read_new() == []  # no file yet
+    lines = [json.dumps(record(number)) + "\n" for number in range(4)]
+    path.write_text(lines[0])
+    assert [found["tool"] for found in tail.read_new()] == ["tool_0"]
+    with path.open("a") as file:
+        file.write(lines[1] + lines[2][:10])
+    assert [found["tool"] for found in tail.read_new()] == ["tool_1"]
+    with path.open("a") as file:
+        file.write(lines[2][10:])
+    path.rename(tmp_path / "audit.jsonl.1")
+    path.write_text(lines[3])
+    assert [found["tool"] for found in tail.read_new()] == ["tool_2", "tool_3"]
+
+
+def test_a_refusal_is_shown_as_bad():
+    happenings = Happenings()
+    add_record(happenings, record(1))
+    assert happenings.newest(1)[0].is_bad
+
+
+def test_what_somebody_said_never_becomes_html():
+    bad = "<script>alert(1)</script>"
+    happenings = Happenings()
+    happenings.add("tool", bad)
+    row = ModuleRow(kind="robot", health="failing", text=bad, chosen=bad)
+    shown = [
+        happenings_list(happenings.newest(1)),
+        modules_table([row]),
+        stop_text(Snapshot(is_latched=True, cause=bad), "live"),
+    ]
+    assert not any("<script" in html for html in shown)

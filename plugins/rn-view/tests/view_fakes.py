@@ -1,0 +1,155 @@
+"""A source and an operator without a server: a small arm, pictures with a number in them, and what was pressed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_serve_http.options import HttpOptions
+from rn_serve_http.tokens import TokenTable
+from rn_view.access import Admission, host_rules
+from rn_view.happenings import Happenings
+from rn_view.options import ViewOptions
+from rn_view.source import ModuleRow, Snapshot
+from roboneuron import CameraCalibration, CameraProfile, JointLimits, RobotProfile, Workspace
+from roboneuron.config import Config, parse_config
+from roboneuron.server.access import Holder
+
+URDF = """
+<robot name="twolink">
+  <link name="base"><visual><geometry><cylinder radius="0.08" length="0.1"/></geometry></visual></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.05"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <link name="upper"><visual><origin xyz="0 0 0.2"/><geometry><box size="0.06 0.06 0.4"/></geometry></visual></link>
+  <joint name="lift" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0 0 0.4"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <link name="fore"><visual><origin xyz="0.2 0 0"/><geometry><box size="0.4 0.05 0.05"/></geometry></visual></link>
+  <joint name="tip" type="fixed"><parent link="fore"/><child link="tcp"/><origin xyz="0.4 0 0"/></joint>
+  <link name="tcp"/>
+</robot>
+"""
+CONFIG = """
+[robot]
+name = "twolink"
+"""
+HOME = {"turn": 0.3, "lift": 0.2}
+
+
+def profile() -> RobotProfile:
+    """A turning arm of two links with one camera at its side."""
+    two = np.full(2, 2.0)
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 0.0, 0.5)
+    intrinsics = np.array([[200.0, 0.0, 80.0], [0.0, 200.0, 60.0], [0.0, 0.0, 1.0]])
+    return RobotProfile(
+        name="twolink",
+        urdf=URDF,
+        base_link="base",
+        tcp_link="tcp",
+        arm_joints=("turn", "lift"),
+        limits=JointLimits(lower=-two, upper=two, velocity=two, acceleration=two, effort=two),
+        home_rad=np.array([0.3, 0.2]),
+        cameras=(
+            CameraProfile(
+                name="front",
+                role="primary",
+                frame_id="front",
+                width=160,
+                height=120,
+                calibration=CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=pose),
+            ),
+        ),
+        workspace=Workspace(lower_m=np.array([0.1, -0.4, 0.1]), upper_m=np.array([0.6, 0.4, 0.7])),
+    )
+
+
+class FakeSource:
+    """A source that the test feeds: `send` brings a message to whoever subscribed."""
+
+    label = "live"
+
+    def __init__(self) -> None:
+        self.happenings = Happenings()
+        self.subscribed: dict[str, Callable[[Any], None]] = {}
+        self.stops: list[str] = []
+        self.stopped = threading.Event()
+        self.modules = (
+            ModuleRow(kind="robot", health="ok", chosen="twolink", rate_hz=100.0),
+            ModuleRow(kind="inference", health="failing", text="<b>lost</b>", rate_hz=5.0, latency_ms=40.0, dropped=3),
+        )
+
+    def config(self) -> Config:
+        return parse_config(CONFIG)
+
+    def profile(self) -> RobotProfile:
+        return profile()
+
+    def snapshot(self) -> Snapshot:
+        cause = self.stops[-1] if self.stops else ""
+        return Snapshot(modules=self.modules, is_latched=bool(self.stops), cause=cause, instruction="lift the <cup>")
+
+    def look(self) -> None:
+        pass
+
+    def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> Callable[[], None]:
+        self.subscribed[topic] = callback
+        return lambda: self.subscribed.pop(topic) and None
+
+    def press_stop(self, who: str) -> str:
+        self.stops.append(who)
+        self.stopped.set()
+        return "Latched."
+
+    def send(self, topic: str, message: Any) -> None:
+        callback = self.subscribed.get(topic)
+        if callback is not None:
+            callback(message)
+
+
+class FakeOperator:
+    """Keeps the calls; every call succeeds."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, str, dict[str, Any]]] = []
+        self.left: list[str] = []
+        self.called = threading.Event()
+
+    def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+        done: Future[str] = Future()
+        self.calls.append((holder.who, tool, arguments))
+        self.called.set()
+        done.set_result("")
+        return done
+
+    def leave(self, holder: Holder) -> None:
+        self.left.append(holder.who)
+
+
+def admission(options: ViewOptions, *tokens: tuple[str, str]) -> Admission:
+    """Tokens by role; none lets everybody in."""
+    table = TokenTable([(token, Holder(who=f"the {role}", role=role)) for token, role in tokens])
+    return Admission(tokens=table, rules=host_rules(options, HttpOptions()))
+
+
+def picture(shade: int) -> Any:
+    """An image message of one grey level, stamped now."""
+    from sensor_msgs.msg import Image
+
+    pixels: NDArray[np.uint8] = np.full((120, 160, 3), shade, dtype=np.uint8)
+    message = Image(width=160, height=120, step=480, encoding="rgb8")
+    message.data = pixels.tobytes()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+    return message
+
+
+def joints(**positions: float) -> Any:
+    """A joint state."""
+    from sensor_msgs.msg import JointState
+
+    return JointState(name=list(positions), position=[float(value) for value in positions.values()])
