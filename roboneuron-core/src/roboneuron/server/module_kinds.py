@@ -58,6 +58,9 @@ class StartControl(Arguments):
 class StartInference(Arguments):
     """Arguments of start_inference."""
 
+    model: str | None = Field(
+        default=None, description="A model of the configuration, see list_models; then no part of it is named."
+    )
     backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
     checkpoint: str | None = Field(
         default=None,
