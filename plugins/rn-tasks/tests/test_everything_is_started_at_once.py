@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
@@ -95,14 +96,17 @@ def test_what_runs_already_and_what_is_not_configured_is_left_alone() -> None:
 
 def test_a_failure_of_one_cancels_the_others_and_stops_what_had_started() -> None:
     loop = FakeLoop()
-    others_run = threading.Semaphore(0)
+    perception_begins = threading.Event()
 
     def begin(kind: str) -> None:
         if kind == "inference":
-            assert others_run.acquire(timeout=BOUND_S)
+            assert perception_begins.wait(BOUND_S)
+            deadline_s = time.monotonic() + BOUND_S
+            while [loop.phases["robot"], loop.phases["control"]] != ["running"] * 2 and time.monotonic() < deadline_s:
+                time.sleep(0.001)
             raise NotReadyError("no weights")
         if kind == "perception":  # still starting when inference fails
-            others_run.release()
+            perception_begins.set()
             assert loop.cancelled[kind].wait(BOUND_S)
 
     loop.begin = begin
