@@ -32,6 +32,9 @@ class TaskOptions(_Section):
     end_wait_s: Annotated[float, Field(ge=0, le=30)] = Field(
         default=2.0, description="after the policy's own end, how long the world may take to show success [s]"
     )
+    give_up_s: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=3.0, description="a policy that reports errors for so long without a break has given up [s]"
+    )
     evidence_cameras: tuple[str, ...] = Field(
         default=(), strict=False, description="cameras that evidence images come from; the first two when empty"
     )
@@ -92,7 +95,7 @@ class EventOptions(_Section):
 class TasksSections(_Section):
     """All sections of the feature."""
 
-    tasks: TaskOptions = TaskOptions()
+    tasks: TaskOptions = Field(default=TaskOptions(), description="how run_task works")
     postures: dict[PlaceName, PostureOptions] = Field(default_factory=dict, description="postures by name")
     places: dict[PlaceName, PlaceOptions] = Field(default_factory=dict, description="places by name")
-    events: EventOptions = EventOptions()
+    events: EventOptions = Field(default=EventOptions(), description="what clients may subscribe to")
