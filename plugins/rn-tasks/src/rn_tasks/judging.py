@@ -26,8 +26,8 @@ from rn_tasks.snapshot import Snapshot
 
 MonitorFor = Callable[[MonitorSays], Monitor]
 """Builds the monitor that a predicate names."""
-GRIPPER_STILL_S = 0.2
-"""A gripper on its way passes every opening; what it holds, it holds still."""
+GRIPPER_STILL_S, _GRIPPER_MOVED = 0.2, 0.04
+"""A gripper on its way passes every opening; what it holds, it holds still, but for what measurements waver."""
 _PART = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
@@ -77,7 +77,7 @@ class Judge:
 
     def look(self, snapshot: Snapshot) -> Judgement:
         """Judge now; to be called in the order of time."""
-        if snapshot.gripper_open is not None and abs(snapshot.gripper_open - self._opening[0]) > 0.01:
+        if snapshot.gripper_open is not None and abs(snapshot.gripper_open - self._opening[0]) > _GRIPPER_MOVED:
             self._opening = (snapshot.gripper_open, snapshot.now_s)
         return self._judge(self._root, snapshot)
 

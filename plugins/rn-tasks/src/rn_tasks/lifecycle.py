@@ -23,7 +23,7 @@ class StartAll(Arguments):
     """Arguments of start_all."""
 
     instruction: str | None = Field(
-        default=None, max_length=MAX_INSTRUCTION_LENGTH, description="What to do at once; the robot moves then."
+        default=None, max_length=MAX_INSTRUCTION_LENGTH, description="As in start_inference."
     )
     model: str | None = Field(default=None, description="As in start_inference.")
 
@@ -74,8 +74,8 @@ def start_all_tool(host: Host) -> Tool[Any]:
     return Tool(
         name="start_all",
         title="Start everything",
-        description="Start all configured modules that do not run, side by side. Returns when each works; on any "
-        "failure, or when cancelled, nothing that this call started is left.",
+        description="Start all configured modules that do not run, side by side. Returns when each works; on a "
+        "failure nothing of this call is left.",
         arguments=StartAll,
         result=StartAllResult,
         handler=handler,

@@ -32,7 +32,7 @@ PoseNow = Callable[[], tuple[F64, F64]]
 class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
-    name: str = Field(min_length=1, max_length=64, description="A named posture or place of the robot.")
+    name: str = Field(description="Where to.")
 
 
 class MovedTo(Result):
@@ -93,7 +93,9 @@ class Mover:
         if name in places:
             return await self._to_place(name, places[name], context)
         known = ", ".join({**postures, **places}) or "none; a person adds them as [postures.<name>] or [places.<name>]"
-        raise InvalidInputError(f"There is no posture or place {name!r}.", hint=f"There are: {known}.", path="name")
+        raise InvalidInputError(
+            f"There is no posture or place {name[:64]!r}.", hint=f"There are: {known}.", path="name"
+        )
 
     async def _to_place(self, name: str, place: PlaceOptions, context: CallContext) -> MovedTo:
         """Along straight parts, each by what is measured at its begin."""
@@ -156,8 +158,8 @@ def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[Any]:
     return Tool(
         name="move_to",
         title="Move to a named posture or place",
-        description="Move the arm to a posture (by its joints) or a place (in straight lines; needs control). Refused "
-        "while a policy runs. Returns when it is measured there.",
+        description="Move the arm to a posture, or in straight lines to a place (needs control). Refused while a "
+        "policy runs. Returns when it is measured there.",
         arguments=MoveToArguments,
         result=MovedTo,
         handler=handler,

@@ -44,9 +44,7 @@ class RunTask(Arguments):
     )
     max_s: float | None = Field(default=None, gt=0, le=86400, description="Longest attempt [s].")
     max_attempts: int | None = Field(default=None, ge=1, le=20, description="Most attempts.")
-    on_end: str = Field(
-        default=HOLD, max_length=64, description="hold; stop the policy; or a name that move_to knows, gone to then."
-    )
+    on_end: str = Field(default=HOLD, max_length=64, description="hold, stop (the policy), or a name of move_to.")
 
 
 class FinalState(Result):
@@ -103,7 +101,7 @@ class TaskTool:
         known = [HOLD, STOP, *self._names()]
         if arguments.on_end not in known:
             raise InvalidInputError(
-                f"on_end is {arguments.on_end!r}.", hint=f"Choose one of: {', '.join(known)}.", path="on_end"
+                f"on_end is {arguments.on_end[:64]!r}.", hint=f"Choose one of: {', '.join(known)}.", path="on_end"
             )
         profile = profile_of(self._host)
         judge = None if predicate is None else self._judge(predicate, instruction, profile)
@@ -227,9 +225,9 @@ def run_task_tool(handler: TaskTool) -> Tool[Any]:
     return Tool(
         name="run_task",
         title="Carry out a task",
-        description="Let the policy act until a predicate is true, in bounded attempts; then end its motion and tell "
-        "the outcome, with images from before and after. Needs robot, perception and control; starts the policy when "
-        "it does not run. Cancelling the call, or losing the connection, stops the arm.",
+        description="Let the policy act until a predicate is true, in bounded attempts; then end its motion. The "
+        "outcome is succeeded, failed, timed_out, stopped or unclear (judge by the images). Needs robot, perception "
+        "and control. Cancelling the call, or losing the connection, stops the arm.",
         arguments=RunTask,
         result=TaskResult,
         handler=handler,

@@ -267,6 +267,7 @@ class Task:
     def _confirm(self, first: Judgement, found_s: float) -> _Attempt:
         """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may coast."""
         cell = self._cell
+        self._say(f"stopping: {first.reason}")
         cell.end()
         stop_s = cell.now_s() - found_s
         deadline_s = cell.now_s() + _CONFIRM_S

@@ -20,8 +20,7 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the plugin, laid over [plugins.<name>] of the configuration; what names hosts, files, "
-        "devices or commands is for the configuration only.",
+        description="Over [plugins.<name>] of the configuration; hosts, files, devices and commands stand only there.",
     ),
 ]
 
@@ -58,9 +57,6 @@ class StartControl(Arguments):
 class StartInference(Arguments):
     """Arguments of start_inference."""
 
-    model: str | None = Field(
-        default=None, description="A model of the configuration, see list_models; then no part of it is named."
-    )
     backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
     checkpoint: str | None = Field(
         default=None,
@@ -72,6 +68,7 @@ class StartInference(Arguments):
         default=None, description="Engine that executes the model; the backend's own default when omitted."
     )
     acceleration: str | None = Field(default=None, description="Acceleration preset; none when omitted.")
+    model: str | None = Field(default=None, description="Instead of these four: one of list_models.")
     instruction: str | None = Field(
         default=None,
         max_length=MAX_INSTRUCTION_LENGTH,
