@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from rn_tasks.approval import Approval
 from rn_tasks.arbiter import TaskArbiter
+from rn_tasks.events import TASKS, EventLog, Watching
 from rn_tasks.examples import EXAMPLES
 from rn_tasks.lifecycle import list_models_tool, start_all_tool
 from rn_tasks.live import Inputs, pose_of
 from rn_tasks.moving import Mover, Places, check_places, move_to_tool
 from rn_tasks.options import TasksSections
 from rn_tasks.predicates import ADAPTER
+from rn_tasks.prompts import offer_prompts
 from rn_tasks.run_task import TaskTool, run_task_tool
 from rn_tasks.runner import TaskEnd
 from roboneuron import matrix_from_quaternion
@@ -34,9 +36,10 @@ _POSE_S = 2.0
 
 
 class TasksFeature(Feature[TasksSections]):
-    """Adds start_all, list_models, run_task, move_to, and events."""
+    """Adds start_all, list_models, run_task, move_to, events as resources, and prompts."""
 
     _arbiter: TaskArbiter | None = None
+    _watching: Watching | None = None
 
     def check(self, config: Config) -> None:
         """See `Feature.check`."""
@@ -51,6 +54,9 @@ class TasksFeature(Feature[TasksSections]):
         arbiter = self._arbiter = TaskArbiter()
         host.tools.add_admission(arbiter.admit)
         host.events.stop.listen(lambda kind: arbiter.end())
+        host.events.open.listen(lambda: offer_prompts(host.server))
+        self._events = EventLog(self.options.events.kept, host.resource_updated)
+        self._watching = Watching(host, self.options.events, self._events)
         approval = Approval(self.options.tasks)
         places = Places(host, self.options)
         mover = Mover(host, places, self._pose_now)
@@ -72,16 +78,31 @@ class TasksFeature(Feature[TasksSections]):
                 description="Examples, installed monitors with their options, and the JSON schema of `until`.",
                 read=self._predicates,
                 mime_type="application/json",
-            )
+            ),
+            *self._events.resources(),
         ]
 
+    def start(self, host: Host) -> None:
+        """See `Feature.start`."""
+        if self._watching is not None:
+            self._watching.start()
+
     def close(self) -> None:
-        """End the task that may be running."""
+        """End the task that may be running, and all subscriptions."""
         if self._arbiter is not None:
             self._arbiter.end(_CLOSE_S)
+        if self._watching is not None:
+            self._watching.close()
 
     def _note_end(self, instruction: str, end: TaskEnd) -> None:
-        pass
+        self._events.add(
+            TASKS,
+            instruction=instruction,
+            outcome=end.outcome,
+            attempts=end.attempts,
+            reason=end.reason,
+            took_s=round(end.took_s, 3),
+        )
 
     def _predicates(self) -> str:
         monitors = {name: spec.summary for name, spec in self._host.registry.specs("monitor").items()}
