@@ -36,6 +36,9 @@ class FakeLoop:
     def __init__(self, configured: tuple[str, ...] = tuple(MODULE_KINDS)) -> None:
         self.supervisor = self
         self.config = self
+        self.emergency_stop = self
+        self.namespace = "gantry"
+        self.prepared: list[str] = []
         for kind in MODULE_KINDS:
             setattr(self, kind, object() if kind in configured else None)
         self.phases = dict.fromkeys(MODULE_KINDS, "stopped")
@@ -43,6 +46,13 @@ class FakeLoop:
         self.stopped: list[str] = []
         self.begin: Callable[[str], None] = lambda kind: None
         self.refuses = ""
+
+    def prepare(self, namespace: str) -> None:
+        assert "starting" not in self.phases.values()
+        self.prepared.append(namespace)
+
+    def stream(self, namespace: str) -> None:
+        assert "starting" not in self.phases.values()
 
     def view(self, kind: str) -> FakeView:
         return FakeView(kind, self.phases[kind])

@@ -72,6 +72,10 @@ class ParallelStart:
         if not wanted:
             raise StateError("Everything that is configured runs already.", hint="See get_status.")
         selections = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
+        # What each start would wait for alone is done first: a module gives up when what it needs is not even starting.
+        self._loop.emergency_stop.prepare(self._loop.config.namespace)
+        if "inference" in wanted:
+            self._loop.stream(self._loop.config.namespace)
         with self._lock:
             self._check()
             self._kinds = tuple(wanted)
