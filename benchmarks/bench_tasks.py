@@ -234,7 +234,8 @@ def play(seed: int, fail: float, grasps: int, braking: bool) -> dict[str, Any]:
             "seed": seed, "braking": braking, "fail": fail, "outcome": end.outcome.value, "attempts": end.attempts,
             "reason": end.reason, "truth": bool(state.lifted_m >= 0.10), "lifted_m": round(state.lifted_m, 3),
             "grasps": gripper.grasps, "failed_grasps": gripper.failed, "simulated_s": round(end.took_s, 2),
-            "attempts_failed": [text for _, text in told if ": failed" in text], "stopped_s": stopped_s, "wall_s": round(time.perf_counter() - begun_s, 1),
+            "attempts_failed": [text for _, text in told if ": failed" in text],
+            "stopped_s": stopped_s, "wall_s": round(time.perf_counter() - begun_s, 1),
         }  # fmt: skip
     finally:
         backend.close()
