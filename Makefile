@@ -26,7 +26,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help test-view demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help test-view demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean bench-tasks
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -106,6 +106,10 @@ bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
 	$(BIN)/python benchmarks/soak.py $(ARGS)
+
+bench-tasks: $(VENV)/.develop ## outcomes of tasks against the simulator's truth, and start_all beside four calls (ARGS="--runs 20" for less)
+	$(BIN)/python benchmarks/bench_tasks.py $(ARGS)
+	$(BIN)/python benchmarks/bench_start_all.py
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)

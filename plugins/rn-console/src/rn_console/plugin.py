@@ -43,7 +43,17 @@ PLUGINS_SHOW = CommandSpec(
     summary="show everything about one plugin, or one thing it offers",
     target="rn_console.plugins_show:PluginsShow",
 )
-COMMANDS = (RUN, STATUS, LOGS, CALL, TOOLS, CONFIG_SHOW, CONFIG_REFERENCE, PLUGINS_SHOW, COMPLETION)
+UP = CommandSpec(
+    name="up",
+    summary="start everything that is configured at once, and keep it",
+    target="rn_console.up_command:Up",
+)
+DOWN = CommandSpec(
+    name="down",
+    summary="stop everything that runs, of `up` or of a server",
+    target="rn_console.up_command:Down",
+)
+COMMANDS = (RUN, UP, DOWN, STATUS, LOGS, CALL, TOOLS, CONFIG_SHOW, CONFIG_REFERENCE, PLUGINS_SHOW, COMPLETION)
 """Descriptors of the commands."""
 
 

@@ -35,12 +35,9 @@ class Switch(Arguments):
 
     mode: Literal["warm", "cold"] = Field(
         default="warm",
-        description="warm: the new one is started and tried beside the old one and takes over between two outputs; "
-        "cold: the old one is stopped first, where there is no room for two.",
+        description="warm: the new one is tried beside the old one first; cold: the old one is stopped first.",
     )
-    rollback: bool = Field(
-        default=False, description="Go back to what ran before the last switch; nothing else may be named then."
-    )
+    rollback: bool = Field(default=False, description="Back to what ran before; then nothing else may be named.")
 
     @model_validator(mode="after")
     def _check_rollback(self: S) -> S:
@@ -101,28 +98,25 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
         arguments=SwitchInference,
         title="Replace the policy",
         description="Replace the running backend by another one on the same topics. Warm, the new one is loaded and "
-        "tried in shadow while the old one works, then takes over between two actions; if it fails, or wants "
-        "something wildly different, the old one goes on and the error says why. Cold, the arm holds meanwhile "
-        "and a failure leaves no backend. Where only the acceleration differs and the runtime can change it, the "
-        "running process takes it between two predictions. The instruction is kept unless a new one is given.",
+        "tried in shadow, then takes over between two actions; if it fails, or wants something wildly different, the "
+        "old one goes on. Cold, the arm holds meanwhile and a failure leaves no backend. A change of the acceleration "
+        "alone is made in the running process where the runtime can. The instruction is kept unless one is given.",
     ),
     "perception": _Text(
         arguments=SwitchPerception,
         title="Replace the cameras' source",
-        description="Replace the running source of images by another one on the same topics. Warm, the new one is "
-        "opened and delivers unseen while the old one works, then takes over between two images of each camera; if it "
-        "fails, or its images have another size than the backend knows, the old one goes on and the error says "
-        "why. Cold, there are no images meanwhile (a device that only one process can open needs that) and a "
+        description="Replace the running source of images by another one on the same topics. Warm, the new one "
+        "delivers unseen first, then takes over between two images; if it fails, or its images have another size, the "
+        "old one goes on. Cold, there are no images meanwhile (for a device that only one process can open) and a "
         "failure leaves no source.",
     ),
     "control": _Text(
         arguments=SwitchControl,
         title="Replace the controller",
         description="Replace the running controller by another one on the same topics, also to change its options. "
-        "Warm, the new one answers the same actions unseen while the old one works, then takes over between two "
-        "commands, going on from the last one; if it fails, would hold, or its commands or TCP pose lie apart, "
-        "the old one goes on and the error says why. Cold, the arm holds meanwhile and a failure leaves no "
-        "controller.",
+        "Warm, the new one answers the same actions unseen, then takes over between two commands; if it fails, would "
+        "hold, or its commands or TCP pose lie apart, the old one goes on. Cold, the arm holds meanwhile and a "
+        "failure leaves no controller.",
     ),
 }
 

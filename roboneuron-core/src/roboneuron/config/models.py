@@ -77,6 +77,18 @@ class InferenceConfig(Section):
     python: str | None = Field(default=None, description="interpreter of the module's own environment")
 
 
+class ModelConfig(Section):
+    """`[models.<name>]`: a policy that agents may choose by its name."""
+
+    backend: Name = Field(description="a backend offered by an installed plugin")
+    checkpoint: str | None = Field(default=None, description="directory of the model's files")
+    profile: str | None = Field(default=None, description="the backend's option `profile`: what the checkpoint expects")
+    runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
+    preset: Name | None = Field(default=None, description="acceleration preset; none when not given")
+    options: dict[str, Any] = Field(default_factory=dict, description="laid over the backend's own in [plugins]")
+    summary: str = Field(default="", description="what it is good for; agents read it in list_models")
+
+
 class ControlConfig(Section):
     """`[control]`: how actions become joint commands."""
 
@@ -195,6 +207,7 @@ class Config(Section):
     robot: RobotConfig
     perception: PerceptionConfig | None = None
     inference: InferenceConfig | None = None
+    models: dict[Name, ModelConfig] = Field(default_factory=dict, description="policies by the name agents choose by")
     control: ControlConfig | None = None
     limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()

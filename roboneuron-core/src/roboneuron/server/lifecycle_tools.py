@@ -80,7 +80,7 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
         name=f"stop_{kind}",
         title=f"Stop {kind}",
         description=f"Stop {kind}: {entry.stop_text}. Returns when its process is gone; also cancels a start in "
-        "progress. An error if it does not run.",
+        "progress.",
         arguments=NoArguments,
         result=StopResult,
         handler=handler,
@@ -132,7 +132,7 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
         name=f"start_{entry.kind}",
         title=entry.title,
         description=f"{entry.start_text} Returns when it works ({entry.proof}); on any failure nothing is left "
-        "running. An error if it already runs.",
+        "running.",
         arguments=entry.request,
         result=StartResult,
         handler=handler,

@@ -20,8 +20,7 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the plugin, laid over [plugins.<name>] of the configuration; what names hosts, files, "
-        "devices or commands is for the configuration only.",
+        description="Over [plugins.<name>] of the configuration; hosts, files, devices and commands stand only there.",
     ),
 ]
 
@@ -69,6 +68,7 @@ class StartInference(Arguments):
         default=None, description="Engine that executes the model; the backend's own default when omitted."
     )
     acceleration: str | None = Field(default=None, description="Acceleration preset; none when omitted.")
+    model: str | None = Field(default=None, description="Instead of these four: one of list_models.")
     instruction: str | None = Field(
         default=None,
         max_length=MAX_INSTRUCTION_LENGTH,

@@ -208,7 +208,7 @@ def _described(tool: Tool[Any]) -> types.Tool:
             read_only_hint=tool.read_only,
             destructive_hint=None if tool.read_only else tool.destructive,  # they mean nothing for what only reads
             idempotent_hint=None if tool.read_only else tool.idempotent or None,
-            open_world_hint=tool.open_world,
+            open_world_hint=None if tool.open_world else False,  # true where nothing is said
         ),
     )
 

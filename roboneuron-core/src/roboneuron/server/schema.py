@@ -91,7 +91,7 @@ def listed_output(schema: Schema) -> Schema:
 
 def _listed_field(entry: Schema) -> Schema:
     if "enum" in entry:
-        return {"enum": entry["enum"]}
+        return {"type": "string"} if all(isinstance(value, str) for value in entry["enum"]) else {}
     if "$ref" in entry:
         return {"type": "object"}
     alternatives = [_listed_field(alternative).get("type") for alternative in entry.get("anyOf", ())]
@@ -101,7 +101,7 @@ def _listed_field(entry: Schema) -> Schema:
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
-    """Drop generated titles and class docstrings; for inputs also the null alternative of optional arguments."""
+    """Drop generated titles, class docstrings and empty defaults; for inputs also null of optional arguments."""
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]
     if not isinstance(node, dict):
@@ -115,7 +115,7 @@ def _plain(node: Any, *, keep_null: bool) -> Any:
         for key, value in node.items()
         if not (key == "title" and isinstance(value, str))
         and not (key == "description" and "properties" in node)
-        and not (key == "default" and value is None)
+        and not (key == "default" and value in (None, ""))
         and not (key == "additionalProperties" and value is True)
     }
     alternatives = cleaned.get("anyOf")

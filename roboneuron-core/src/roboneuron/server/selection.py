@@ -63,6 +63,9 @@ def select(
         RefusedError: options that only the configuration may set, or a checkpoint outside of what it allows.
     """
     request = request or KINDS[kind].request()
+    model = getattr(request, "model", None)
+    if model is not None:
+        config, request = _with_model(config, request, model)
     section = _section(kind, config, registry, request)
     plan = _plan(section, config, registry)
     spec, names = _chosen(section, plan)
@@ -73,6 +76,8 @@ def select(
         section = _check_checkpoint(section, plan, config, getattr(request, "checkpoint", None))
         if section.checkpoint is not None:
             options["checkpoint"] = names["checkpoint"] = section.checkpoint
+    if model is not None:
+        names["model"] = model
     config = config.model_copy(update={kind: section})
     _check_options(spec, options, section.python, f"plugins.{name}")
     for part in (plan.runtime, plan.acceleration):
@@ -81,12 +86,38 @@ def select(
     return Selection(kind=kind, config=config, names=names, plan=plan, python=section.python)
 
 
+def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, Arguments]:
+    """The configuration with `[models.<name>]` as what is configured for inference, and the rest of the request.
+
+    Raises:
+        InvalidInputError: there is no such model, or the request names a part of it too.
+    """
+    model = config.models.get(name)
+    if model is None:
+        listed = ", ".join(config.models) or "none; a person adds them as [models.<name>]"
+        raise InvalidInputError(
+            f"There is no model {name[:80]!r}.", hint=f"The configuration has: {listed}.", path="model"
+        )
+    for part in ("backend", "checkpoint", "runtime", "acceleration"):
+        if getattr(request, part) is not None:
+            raise InvalidInputError(f"The model {name!r} names its {part} itself; leave it out.", path=part)
+    parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
+    section = config.inference
+    if section is None or section.backend != model.backend:
+        section = InferenceConfig(backend=model.backend)
+    profile = {} if model.profile is None else {"profile": model.profile}
+    options = {**config.options(model.backend), **profile, **model.options}
+    plugins = {**config.plugins, model.backend: options}
+    config = config.model_copy(update={"inference": section.model_copy(update=parts), "plugins": plugins})
+    return config, request.model_copy(update={"model": None})
+
+
 def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
     """The configured section with what the request names; one of its own for another plugin than the configured."""
     entry = KINDS[kind]
     field = "name" if kind == "robot" else entry.noun
     section: Section | None = getattr(config, kind)
-    named = {key: getattr(request, key) for key in entry.request.model_fields if key != "options"}
+    named = {key: getattr(request, key) for key in entry.request.model_fields if key not in ("options", "model")}
     wanted = named.pop(entry.noun)
     if section is None and wanted is None:
         choices = ", ".join(registry.specs(entry.choices[entry.noun]))

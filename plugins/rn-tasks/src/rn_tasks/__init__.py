@@ -1,0 +1,1 @@
+"""Tasks with outcomes, a feature of RoboNeuron."""

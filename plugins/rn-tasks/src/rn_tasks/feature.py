@@ -1,0 +1,122 @@
+"""The feature: tools of tasks, events as resources, prompts."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_tasks.approval import Approval
+from rn_tasks.arbiter import TaskArbiter
+from rn_tasks.events import TASKS, EventLog, Watching
+from rn_tasks.examples import EXAMPLES
+from rn_tasks.lifecycle import list_models_tool, start_all_tool
+from rn_tasks.live import Inputs, pose_of
+from rn_tasks.moving import Mover, Places, check_places, move_to_tool
+from rn_tasks.options import TasksSections
+from rn_tasks.predicates import ADAPTER
+from rn_tasks.prompts import offer_prompts
+from rn_tasks.run_task import TaskTool, run_task_tool
+from rn_tasks.runner import TaskEnd
+from roboneuron import matrix_from_quaternion
+from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError
+from roboneuron.server.feature import Feature, Resource
+from roboneuron.server.host import Host
+from roboneuron.server.tool import Tool
+
+F64 = NDArray[np.float64]
+PREDICATES_URI = "roboneuron://tasks/predicates"
+_CLOSE_S = 3.0
+_POSE_S = 2.0
+
+
+class TasksFeature(Feature[TasksSections]):
+    """Adds start_all, list_models, run_task, move_to, events as resources, and prompts."""
+
+    _arbiter: TaskArbiter | None = None
+    _watching: Watching | None = None
+
+    def check(self, config: Config) -> None:
+        """See `Feature.check`."""
+        try:
+            check_places(self.options)
+        except InvalidInputError as error:
+            raise ConfigurationError(error.message) from error
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See `Feature.tools`."""
+        self._host = host
+        arbiter = self._arbiter = TaskArbiter()
+        host.tools.add_admission(arbiter.admit)
+        host.events.stop.listen(lambda kind: arbiter.end())
+        host.events.open.listen(lambda: offer_prompts(host.server))
+        self._events = EventLog(self.options.events.kept, host.resource_updated)
+        self._watching = Watching(host, self.options.events, self._events)
+        approval = Approval(self.options.tasks)
+        places = Places(host, self.options)
+        mover = Mover(host, places, self._pose_now)
+        task = TaskTool(host, self.options.tasks, arbiter, approval, mover, places.choices, self._note_end)
+        return [
+            start_all_tool(host),
+            run_task_tool(task),
+            move_to_tool(mover, places, approval),
+            *([list_models_tool(host)] if host.config.models else []),
+        ]
+
+    def resources(self, host: Host) -> Sequence[Resource]:
+        """See `Feature.resources`."""
+        return [
+            Resource(
+                uri=PREDICATES_URI,
+                name="predicates",
+                title="Predicates for run_task",
+                description="Examples, installed monitors with their options, and the JSON schema of `until`.",
+                read=self._predicates,
+                mime_type="application/json",
+            ),
+            *self._events.resources(),
+        ]
+
+    def start(self, host: Host) -> None:
+        """See `Feature.start`."""
+        if self._watching is not None:
+            self._watching.start()
+
+    def close(self) -> None:
+        """End the task that may be running, and all subscriptions."""
+        if self._arbiter is not None:
+            self._arbiter.end(_CLOSE_S)
+        if self._watching is not None:
+            self._watching.close()
+
+    def _note_end(self, instruction: str, end: TaskEnd) -> None:
+        self._events.add(
+            TASKS,
+            instruction=instruction,
+            outcome=end.outcome,
+            attempts=end.attempts,
+            reason=end.reason,
+            took_s=round(end.took_s, 3),
+        )
+
+    def _predicates(self) -> str:
+        monitors = {name: spec.summary for name, spec in self._host.registry.specs("monitor").items()}
+        return json.dumps({"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1)
+
+    def _pose_now(self) -> tuple[F64, F64]:
+        inputs, topic = Inputs(self._host), f"/{self._host.config.namespace}/ee_pose"
+        inputs.open(topic, "geometry_msgs/msg/PoseStamped")
+        try:
+            deadline_s = time.monotonic() + _POSE_S
+            while (pose := pose_of(inputs.newest(topic))) is None:
+                if time.monotonic() > deadline_s:
+                    raise NotReadyError("Control publishes no pose of the end effector.", hint="Call start_control.")
+                time.sleep(0.01)
+        finally:
+            inputs.close()
+        return pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)

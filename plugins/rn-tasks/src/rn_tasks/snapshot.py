@@ -1,0 +1,69 @@
+"""What predicates look at: one moment of the robot, as far as it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from roboneuron import Frame, Observation, Pose
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Snapshot:
+    """One moment; what is not measured now is None or absent.
+
+    Attributes:
+        now_s: monotonic time [s].
+        joints: position by joint [rad or m].
+        effort: effort by joint [Nm or N], of joints whose effort is measured.
+        tcp: pose of the TCP in the base frame.
+        gripper_open: 0 closed .. 1 open.
+        still_s: time since a joint last moved [s].
+        policy_done: what the policy says of its own end; None when it says nothing.
+        frames: newest image by role of the camera.
+        messages: newest message by topic, of those that predicates name.
+    """
+
+    now_s: float
+    joints: Mapping[str, float] | None = None
+    effort: Mapping[str, float] = field(default_factory=dict)
+    tcp: Pose | None = None
+    gripper_open: float | None = None
+    still_s: float | None = None
+    policy_done: bool | None = None
+    frames: Mapping[str, Frame] = field(default_factory=dict)
+    messages: Mapping[str, Any] = field(default_factory=dict)
+
+    def observation(self, instruction: str) -> Observation:
+        """As a monitor is shown it."""
+        stamp_ns = min((frame.stamp_ns for frame in self.frames.values()), default=0)
+        return Observation(
+            frames=self.frames,
+            instruction=instruction,
+            ee_pose=self.tcp,
+            gripper_open=self.gripper_open,
+            stamp_ns=stamp_ns,
+        )
+
+
+class StillClock:
+    """Measures for how long no joint has moved.
+
+    Args:
+        least: distance that counts as motion [rad or m].
+    """
+
+    def __init__(self, least: float = 0.002) -> None:
+        self._least = least
+        self._anchor: dict[str, float] = {}
+        self._since_s = 0.0
+
+    def observe(self, now_s: float, joints: Mapping[str, float]) -> float:
+        """Note measured positions; returns the time since the last motion [s]."""
+        moved = self._anchor.keys() != joints.keys() or any(
+            abs(joints[name] - place) > self._least for name, place in self._anchor.items()
+        )
+        if moved:
+            self._anchor, self._since_s = dict(joints), now_s
+        return now_s - self._since_s
