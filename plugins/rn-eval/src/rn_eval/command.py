@@ -149,11 +149,12 @@ def _planned(arguments: Namespace) -> EvalPlan:
     from roboneuron.config import load_config
 
     config = load_config(arguments.config).model_dump(mode="json")
-    for name, value in _pairs(arguments.option, "--option PLUGIN.NAME=VALUE").items():
-        plugin, _, option = name.partition(".")
-        if not option:
-            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
-        config["plugins"].setdefault(plugin, {})[option] = value
+    options: dict[str, Any] = config["plugins"]
+    asked = _of_plugins(_options_of_suite(arguments.suite)).get(arguments.backend, {})
+    if asked:
+        options[arguments.backend] = {**asked, **options.get(arguments.backend, {})}
+    for plugin, given in _of_plugins(arguments.option).items():
+        options[plugin] = {**options.get(plugin, {}), **given}
     if config.get("control") is None:
         raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
     try:
@@ -179,6 +180,26 @@ def _planned(arguments: Namespace) -> EvalPlan:
         raise ConfigurationError(
             f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}."
         ) from None
+
+
+def _options_of_suite(suite: str) -> Sequence[str]:
+    from rn_eval.hooks import SuiteSpec
+    from roboneuron.plugins.discovery import discover
+
+    spec = discover().get("suite", suite)
+    assert isinstance(spec, SuiteSpec)
+    return spec.options
+
+
+def _of_plugins(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Options by plugin, of PLUGIN.NAME=VALUE."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in _pairs(texts, "--option PLUGIN.NAME=VALUE").items():
+        plugin, _, option = name.partition(".")
+        if not option:
+            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
+        found.setdefault(plugin, {})[option] = value
+    return found
 
 
 def _pairs(texts: Sequence[str], form: str) -> dict[str, Any]:
