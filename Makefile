@@ -22,11 +22,11 @@ COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-fr3 demo-bases eval-demo eval-libero test-libero test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help demo demo-fr3 demo-bases eval-demo eval-libero test-libero interop-vla-eval test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -89,6 +89,16 @@ eval-libero: $(VENV)/.develop .venv-libero/.ready ## one episode of each of LIBE
 
 test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of the LIBERO simulator against those of the public scripts
 	$(BIN)/python -m pytest plugins/rn-eval-libero $(ARGS)
+
+interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own client and episode runner against our model server
+	$(BIN)/python -m pytest plugins/rn-eval/tests/test_backends_are_model_servers.py $(ARGS)
+
+.venv-vla-eval: .venv-vla-eval/.ready
+
+.venv-vla-eval/.ready:
+	$(PYTHON) -m venv .venv-vla-eval
+	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
+	@touch $@
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
