@@ -22,11 +22,11 @@ COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help test-view demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean bench-tasks
+.PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -58,6 +58,50 @@ eval-demo: $(VENV)/.develop ## the servo policy on 200 seeds, then by execution 
 	$(BIN)/roboneuron eval run --backend servo --episodes 200 --seed 10000 --workers $(JOBS) --out out/eval/servo $(ARGS)
 	$(BIN)/roboneuron eval run --backend servo --episodes 50 --seed 10000 --workers $(JOBS) --out out/eval/servo-latency \
 	  --execution sequential,overlap --latency 0 --latency 112ms --latency 250ms $(ARGS)
+
+# LIBERO's reference stack is for Python 3.10 and 3.11 only.
+LIBERO_PYTHON ?= python3.11
+LIBERO_ARGS ?= --episodes 10
+TINY_OPTIONS := --option torch.device=cpu --option torch.dtype=float32
+LIBERO_OUT := out/eval/libero
+
+.venv-libero: .venv-libero/.ready
+
+.venv-libero/.ready: plugins/rn-eval-libero/simulator-requirements.txt
+	@echo "Setting up .venv-libero, the LIBERO simulator (once, about five minutes, 2.1 GB) ..."
+	$(LIBERO_PYTHON) -m venv .venv-libero
+	.venv-libero/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	@touch $@
+
+eval-libero: $(VENV)/.develop .venv-libero/.ready ## one episode of each of LIBERO's 40 tasks: no-op, tiny random OpenVLA and OFT (0 % is right)
+	rm -rf $(LIBERO_OUT)/tiny-openvla $(LIBERO_OUT)/tiny-oft
+	$(BIN)/roboneuron-openvla make-tiny $(LIBERO_OUT)/tiny-openvla
+	$(BIN)/roboneuron-oft make-tiny $(LIBERO_OUT)/tiny-oft
+	for suite in spatial object goal 10; do \
+	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend noop --out $(LIBERO_OUT)/noop/$$suite $(LIBERO_ARGS) && \
+	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend oft --checkpoint $(LIBERO_OUT)/tiny-oft \
+	    --option oft.unnorm_key=tiny $(TINY_OPTIONS) --out $(LIBERO_OUT)/oft/$$suite $(LIBERO_ARGS) && \
+	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend openvla --checkpoint $(LIBERO_OUT)/tiny-openvla \
+	    --option openvla.unnorm_key=tiny --option openvla.max_outside_share=1 $(TINY_OPTIONS) \
+	    --out $(LIBERO_OUT)/openvla/$$suite $(LIBERO_ARGS) || exit 1; \
+	done
+	for policy in noop oft openvla; do echo $$policy; \
+	  $(BIN)/roboneuron eval report $(LIBERO_OUT)/$$policy/spatial $(LIBERO_OUT)/$$policy/object \
+	    $(LIBERO_OUT)/$$policy/goal $(LIBERO_OUT)/$$policy/10 --paper-table || exit 1; \
+	done
+
+test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of the LIBERO simulator against those of the public scripts
+	$(BIN)/python -m pytest plugins/rn-eval-libero $(ARGS)
+
+interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own client and episode runner against our model server
+	$(BIN)/python -m pytest plugins/rn-eval/tests/test_backends_are_model_servers.py $(ARGS)
+
+.venv-vla-eval: .venv-vla-eval/.ready
+
+.venv-vla-eval/.ready:
+	$(PYTHON) -m venv .venv-vla-eval
+	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
+	@touch $@
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)

@@ -40,9 +40,12 @@ class Toy:
         time.sleep(self.options.slow_s)
         return ToyScene(episode)
 
+    def close(self):
+        pass
+
 
 class ToyScene:
-    tick_s, camera_ticks = 0.01, 5
+    tick_s, camera_ticks, judge_ticks = 0.01, 5, 10
 
     def __init__(self, episode):
         random = np.random.default_rng(episode.seed)

@@ -166,6 +166,8 @@ class OftBackend:
             self._constants.state,
             finger_travel_m=self._config.finger_travel_m,
             origin_m=np.array(self._config.state_origin_m),
+            finger_joints=self._config.finger_joints,
+            by_quaternion=self._config.state_rotation == "quaternion",
         )
         return None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
 

@@ -44,6 +44,12 @@ class OftConfig(ModelOptions):
     """Actions of each chunk to play before the next inference; None plays all."""
     finger_travel_m: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.04
     """Travel of each finger joint when open, for the state layout of LIBERO (Panda hand: 0.04)."""
+    state_rotation: Literal["by_down", "quaternion"] = "by_down"
+    """Which of a rotation's two vectors the state has: the one near a gripper that points down, or, in the simulator
+    of the training data, the one that the sign of the measured quaternion tells."""
+    finger_joints: tuple[str, str] | None = None
+    """Names of both finger joints, when the state's last two values are to be what was measured of them; None derives
+    them from the opening."""
     state_origin_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     """Position of the robot's base in the world frame of the training data; added to the TCP position."""
 

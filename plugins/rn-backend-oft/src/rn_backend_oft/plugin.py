@@ -20,6 +20,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         requires=(
             Requirement(module="torch", install="pip install torch"),
             Requirement(module="tokenizers", install="pip install tokenizers"),
+            Requirement(module="simplejpeg", install="pip install simplejpeg"),
             Requirement(module="rn_vla", install="pip install ./plugins/rn-vla"),
         ),
         cameras=cameras,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.constants import StateLayout
-from rn_vla.rotation import rotvec_by_down, rpy_by_down
+from rn_vla.rotation import rotvec_by_down, rotvec_by_quaternion, rpy_by_down
 from roboneuron import ConfigurationError, Observation, UngroundedError, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
@@ -28,11 +28,20 @@ def state_width(layout: StateLayout) -> int:
     return STATE_WIDTHS[layout]
 
 
-def read_state(observation: Observation, layout: StateLayout, *, finger_travel_m: float, origin_m: F64) -> F64:
+def read_state(
+    observation: Observation,
+    layout: StateLayout,
+    *,
+    finger_travel_m: float,
+    origin_m: F64,
+    finger_joints: tuple[str, str] | None = None,
+    by_quaternion: bool = False,
+) -> F64:
     """Measured state (n,): TCP position [m], then by layout
 
-    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down, both finger joints [m] (the
-      second one negative); as in LIBERO;
+    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down (or, `by_quaternion`, of up to
+      2 pi as the quaternion's sign tells), both finger joints [m] (the
+      second one negative; as measured where `finger_joints` names them); as in LIBERO;
     - "xyz_rpy_opening": roll, pitch, yaw [rad] against a gripper pointing down, opening 0 closed .. 1 open; as in
       BridgeData.
 
@@ -46,11 +55,21 @@ def read_state(observation: Observation, layout: StateLayout, *, finger_travel_m
     rotation = matrix_from_quaternion(pose.quaternion_xyzw)
     position = pose.position_m + origin_m
     if layout == "xyz_rotvec_fingers":
-        state = np.concatenate(
-            [position, rotvec_by_down(rotation), [opening * finger_travel_m, -opening * finger_travel_m]]
-        )
+        fingers = [opening * finger_travel_m, -opening * finger_travel_m]
+        if finger_joints is not None:
+            fingers = _measured(observation, finger_joints)
+        turn = rotvec_by_quaternion(pose.quaternion_xyzw) if by_quaternion else rotvec_by_down(rotation)
+        state = np.concatenate([position, turn, fingers])
     else:
         state = np.concatenate([position, rpy_by_down(rotation), [opening]])
     if not np.isfinite(state).all():
         raise UngroundedError(f"The measured state holds a non-finite value: {np.round(state, 4).tolist()}.")
     return state
+
+
+def _measured(observation: Observation, names: tuple[str, str]) -> list[float]:
+    joints = observation.joints
+    absent = [name for name in names if joints is None or name not in joints.names]
+    if joints is None or absent:
+        raise UngroundedError(f"The observation has no joint {absent}, whose position the checkpoint's state needs.")
+    return [float(joints.position[joints.names.index(name)]) for name in names]

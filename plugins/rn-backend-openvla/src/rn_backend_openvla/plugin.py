@@ -9,6 +9,7 @@ from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 _REQUIRES = (
     Requirement(module="torch", install="pip install torch"),
     Requirement(module="tokenizers", install="pip install tokenizers"),
+    Requirement(module="simplejpeg", install="pip install simplejpeg"),
     Requirement(module="PIL", install="pip install pillow"),
 )
 

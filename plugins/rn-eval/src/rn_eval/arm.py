@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
-from roboneuron import Action, Hold, JointCommand, JointSample, Posture, PostureInspector
+from roboneuron import Action, Controller, Hold, JointCommand, JointSample, Posture, PostureInspector
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 
 F64 = NDArray[np.float64]
@@ -23,7 +23,7 @@ _HOLD_SHARE = 0.75
 class DeployedArm:
     """Controller and motion limiter of one episode. Used from one thread."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, controller: Controller) -> None:
         """Start without a setpoint, as control does after `activate`.
 
         Raises:
@@ -33,12 +33,12 @@ class DeployedArm:
         assert control is not None  # the plan has one
         self._timeout_s = control.action_timeout_s
         self._names = setup.profile.arm_joints
-        self._controller = setup.controller
-        inspect = setup.controller.inspect if isinstance(setup.controller, PostureInspector) else self._look
+        self._controller = controller
+        inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
         self._limiter = MotionLimiter(
             motion_rules(setup.config.limits, setup.profile),
             setup.profile,
-            setup.controller.forward,
+            controller.forward,
             inspect,
             immediate=control.command == "joint_state",
             longest_s=setup.config.robot.server_timeout_s,

@@ -44,15 +44,31 @@ class Eval:
             "--paper-table", action="store_true", help="print success by suite and speed-up only, write nothing"
         )
         actions.add_parser("suites", help="list the installed suites")
+        served = actions.add_parser("serve", help="be a model server of vla-eval 0.8")
+        self._configure_serve(served)
+
+    def _configure_serve(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("--suite", default="libero-spatial", help="whose robot and options hold (default: libero-spatial)")
+        self._configure_policy(parser)
+        add("--preset", default="none", help="acceleration preset (default: none)")
+        add("--host", default="127.0.0.1", help="address to listen on; there is no authentication (default: 127.0.0.1)")
+        add("--port", type=int, default=8000, help="port, 0 for any free one (default: 8000)")
+
+    def _configure_policy(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("--backend", default="servo", help="the policy (default: servo)")
+        add("--checkpoint", help="folder of the model's files")
+        add("--runtime", help="runtime; default: the backend's own")
+        add("--option", action="append", default=[], metavar="PLUGIN.NAME=VALUE", help="an option of any plugin")
+        add("--config", type=Path, help="a roboneuron.toml: limits, control and options of plugins hold")
+        add("--threads", type=int, default=1, help="threads of each worker's numerical libraries (default: 1)")
 
     def _configure_run(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
         add("--suite", default="cubes", help="an installed suite (default: cubes)")
         add("--suite-option", action="append", default=[], metavar="NAME=VALUE", help="an option of the suite")
-        add("--backend", default="servo", help="the policy (default: servo)")
-        add("--checkpoint", help="folder of the model's files")
-        add("--runtime", help="runtime; default: the backend's own")
-        add("--option", action="append", default=[], metavar="PLUGIN.NAME=VALUE", help="an option of any plugin")
+        self._configure_policy(parser)
         add("--presets", type=_names, default=("none",), metavar="A,B", help='acceleration presets; "none" for none')
         add(
             "--execution", type=_names, default=("sequential",), metavar="A,B",
@@ -65,7 +81,6 @@ class Eval:
         )  # fmt: skip
         add("--episodes", type=int, default=50, help="of each variant (default: 50)")
         add("--seed", type=int, default=0, help="of the first episode (default: 0)")
-        add("--config", type=Path, help="a roboneuron.toml: limits, control and options of plugins hold")
         add("--strips", choices=("failures", "all", "none"), default="failures", help="film strips to keep")
         add("--out", type=Path, default=Path("out/eval"), help="folder of the run (default: out/eval)")
         self._configure_workers(parser)
@@ -74,7 +89,6 @@ class Eval:
         add = parser.add_argument
         add("--workers", type=int, default=1, help="episodes at a time; more than one needs Ray (default: 1)")
         add("--ray-address", help="a Ray cluster instead of this machine")
-        add("--threads", type=int, default=1, help="threads of each worker's numerical libraries (default: 1)")
         add("--policy-actors", type=int, default=0, help="share the policy of so many processes, in batches (Ray)")
         add("--policy-gpus", type=float, default=0.0, help="GPUs of each process that holds a policy (Ray)")
         add("--retry-errors", action="store_true", help="run episodes that crashed once more")
@@ -85,10 +99,10 @@ class Eval:
             return _list_suites()
         if arguments.action == "report":
             return _report(arguments)
-        if arguments.workers < 1 or arguments.threads < 1:
+        if getattr(arguments, "workers", 1) < 1 or getattr(arguments, "threads", 1) < 1:
             raise ConfigurationError("--workers and --threads are at least 1.")
-        _limit_threads(arguments.threads)
-        return _run(arguments)
+        _limit_threads(getattr(arguments, "threads", 1))
+        return _serve(arguments) if arguments.action == "serve" else _run(arguments)
 
 
 def _limit_threads(count: int) -> None:
@@ -142,20 +156,66 @@ def _resumed(arguments: Namespace) -> EvalPlan:
     return plan
 
 
+def _serve(arguments: Namespace) -> int:
+    import asyncio
+
+    from roboneuron import MissingDependencyError
+
+    try:
+        from rn_eval.model_server import ModelServer, run_server
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            f"Serving needs {error.name}, which is not installed.", hint="Run: pip install './plugins/rn-eval[serve]'"
+        ) from error
+    from rn_eval.plan import EvalPlan
+    from rn_eval.policy import load_backend
+    from rn_eval.runner import refuse_early
+    from roboneuron.plugins.discovery import discover
+
+    plan = EvalPlan(
+        suite=arguments.suite, backend=arguments.backend, checkpoint=arguments.checkpoint, runtime=arguments.runtime,
+        config=_config(arguments), presets=(arguments.preset,), episodes=1, threads=arguments.threads,
+    )  # fmt: skip
+    refuse_early(plan)
+    registry = discover()
+    spec = registry.get("backend", plan.backend)
+    policy = load_backend(plan, registry, arguments.preset)
+    server = ModelServer(policy, name=spec.name, roles=spec.cameras, needs_state=spec.needs_state)
+
+    def tell(port: int) -> None:
+        print(f"Model server of vla-eval: ws://{arguments.host}:{port}", flush=True)
+
+    try:
+        asyncio.run(run_server(server, arguments.host, arguments.port, tell))
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        policy.close()
+    return 0
+
+
+def _config(arguments: Namespace) -> dict[str, Any]:
+    """The configuration with the options of suite and command line in it."""
+    from roboneuron.config import load_config
+
+    config = load_config(arguments.config).model_dump(mode="json")
+    options: dict[str, Any] = config["plugins"]
+    asked = _of_plugins(_options_of_suite(arguments.suite)).get(arguments.backend, {})
+    if asked:
+        options[arguments.backend] = {**asked, **options.get(arguments.backend, {})}
+    for plugin, given in _of_plugins(arguments.option).items():
+        options[plugin] = {**options.get(plugin, {}), **given}
+    if config.get("control") is None:
+        raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
+    return config
+
+
 def _planned(arguments: Namespace) -> EvalPlan:
     from pydantic import ValidationError
 
     from rn_eval.plan import EvalPlan, fingerprint, installed_versions
-    from roboneuron.config import load_config
 
-    config = load_config(arguments.config).model_dump(mode="json")
-    for name, value in _pairs(arguments.option, "--option PLUGIN.NAME=VALUE").items():
-        plugin, _, option = name.partition(".")
-        if not option:
-            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
-        config["plugins"].setdefault(plugin, {})[option] = value
-    if config.get("control") is None:
-        raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
+    config = _config(arguments)
     try:
         return EvalPlan(
             suite=arguments.suite,
@@ -179,6 +239,26 @@ def _planned(arguments: Namespace) -> EvalPlan:
         raise ConfigurationError(
             f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}."
         ) from None
+
+
+def _options_of_suite(suite: str) -> Sequence[str]:
+    from rn_eval.hooks import SuiteSpec
+    from roboneuron.plugins.discovery import discover
+
+    spec = discover().get("suite", suite)
+    assert isinstance(spec, SuiteSpec)
+    return spec.options
+
+
+def _of_plugins(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Options by plugin, of PLUGIN.NAME=VALUE."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in _pairs(texts, "--option PLUGIN.NAME=VALUE").items():
+        plugin, _, option = name.partition(".")
+        if not option:
+            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
+        found.setdefault(plugin, {})[option] = value
+    return found
 
 
 def _pairs(texts: Sequence[str], form: str) -> dict[str, Any]:

@@ -72,6 +72,9 @@ class Cubes:
         target = self._target(episode.seed)
         return CubesScene(episode, target, self._on_table(episode.seed, target), self._options, setup)
 
+    def close(self) -> None:
+        """Nothing is kept."""
+
     def _target(self, seed: int) -> str:
         return self._options.colours[seed % len(self._options.colours)]
 
@@ -98,6 +101,7 @@ class CubesScene:
     """One open scene; follows the protocol `Scene`."""
 
     tick_s = STEP_S
+    judge_ticks = max(1, round(0.1 / STEP_S))
 
     def __init__(
         self, episode: Episode, target: str, colours: Sequence[str], options: CubesOptions, setup: Setup
@@ -107,7 +111,9 @@ class CubesScene:
         self._episode, self._target, self._options, self._setup = episode, target, options, setup
         size = options.image_px
         self._calibrations = {role: camera.calibration_at(size, size) for role, camera in setup.cameras.items()}
-        self._arm = DeployedArm(setup)
+        assert setup.controller is not None  # the FR3 is an installed robot
+        self._controller = setup.controller
+        self._arm = DeployedArm(setup, setup.controller)
         self._simulation = Simulation(episode.seed, colours=colours, engine=options.engine)
         self._simulation.open()
 
@@ -130,7 +136,7 @@ class CubesScene:
             finger = None if gripper is None else joints.position[joints.names.index(gripper.joint)]
             state = {
                 "joints": joints,
-                "ee_pose": self._setup.controller.forward(joints),
+                "ee_pose": self._controller.forward(joints),
                 "gripper_open": None if gripper is None or finger is None else gripper.to_opening(float(finger)),
             }
         return Observation(frames=frames, instruction=self._episode.instruction, stamp_ns=stamp_ns, **state)  # type: ignore[arg-type]

@@ -20,8 +20,8 @@ from rn_eval.suite import Episode, Judgement, Scene
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
 from roboneuron.modules.execution import ChunkExecutor, Prediction
 
-JUDGE_S = 0.1
-"""Period of the judge, and of the control module's watchdog."""
+WATCH_S = 0.1
+"""Period of the control module's watchdog."""
 PATIENCE_S = 3.0
 """A policy that refuses every image for so long has given up."""
 _START_NS = 1_000_000_000
@@ -86,7 +86,7 @@ class EpisodeClock:
     def run(self) -> Played:
         """Play until it is decided or time is up."""
         scene = self.scene
-        judge_ticks = max(1, round(JUDGE_S / scene.tick_s))
+        watch_ticks = max(1, round(WATCH_S / scene.tick_s))
         last = math.ceil(self.episode.time_limit_s / scene.tick_s - 1e-9)
         self.executor.begin_epoch()
         judgement = scene.judge()
@@ -95,11 +95,12 @@ class EpisodeClock:
             if self._answer is None and self._tick % scene.camera_ticks == 0 and self._captured < self._tick:
                 self._predict()
             self._play()
-            target = min(self._next(judge_ticks), last)
+            target = min(self._next(watch_ticks), last)
             scene.advance(target - self._tick)
             self._tick = target
-            if self._tick % judge_ticks == 0 or self._tick == last:
+            if self._tick % watch_ticks == 0 or self._tick == last:
                 scene.watch(self._now_s)
+            if self._tick % scene.judge_ticks == 0 or self._tick == last:
                 judgement = scene.judge()
         self._digest.update(scene.state())
         return Played(outcome=self._outcome(judgement), inference_ms=self._inference_ms, film=self._film)
@@ -111,9 +112,9 @@ class EpisodeClock:
     def _ns(self, tick: int) -> int:
         return _START_NS + round(tick * self.scene.tick_s * 1e9)
 
-    def _next(self, judge_ticks: int) -> int:
+    def _next(self, watch_ticks: int) -> int:
         """The next tick at which anything may happen."""
-        events = [(self._tick // judge_ticks + 1) * judge_ticks]
+        events = [(self._tick // period + 1) * period for period in (watch_ticks, self.scene.judge_ticks)]
         if self._answer is None:
             events.append((self._tick // self.scene.camera_ticks + 1) * self.scene.camera_ticks)
         else:

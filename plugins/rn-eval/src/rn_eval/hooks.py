@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from roboneuron import Spec, hookspec
+from roboneuron import RobotSpec, Spec, hookspec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -14,14 +14,24 @@ class SuiteSpec(Spec):
     """A suite of tasks in a simulation that is stepped by hand.
 
     Attributes:
-        robot: name of the robot that acts; planning checks backend, cameras and controller against it.
+        robot: name of the installed robot that acts; planning checks backend, cameras and controller against it.
         driver: the robot's driver whose requirements must be installed.
+        body: instead of `robot`, one that exists in this simulation alone. Its simulator takes TCP deltas itself, so no
+            controller is planned, and no limit but the simulator's own holds.
+        options: what the suite's protocol asks of backends, as `--option` takes it (PLUGIN.NAME=VALUE); those of the
+            chosen backend hold unless the user gives others.
     """
 
     kind: ClassVar[str] = "suite"
 
-    robot: str
+    robot: str = ""
     driver: str = "simulated"
+    body: RobotSpec | None = None
+    options: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if bool(self.robot) == (self.body is not None):
+            raise ValueError(f"suite {self.name!r} names either an installed robot or a body of its own")
 
 
 @hookspec

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,7 +17,7 @@ from roboneuron import ConfigurationError
 from roboneuron.config import Config
 from roboneuron.modules.plugin import build
 from roboneuron.planning import Plan, check_plan
-from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.registry import Offer, Registry, Status
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536
@@ -138,10 +139,10 @@ class EvalPlan(BaseModel):
         spec, config = self.suite_spec(registry), self.load_config()
         assert config.control is not None
         return check_plan(
-            registry,
-            robot=spec.robot,
+            with_body(registry, spec),
+            robot=spec.robot if spec.body is None else spec.body.name,
             driver=spec.driver,
-            controller=config.control.controller,
+            controller=config.control.controller if spec.body is None else None,
             backend=self.backend,
             runtime=self.runtime,
             acceleration=None if preset == NO_PRESET else preset,
@@ -154,6 +155,14 @@ class EvalPlan(BaseModel):
             for episode in episodes:
                 key = Key(suite=self.suite, **variant._asdict(), task=episode.task, seed=episode.seed)
                 yield Job(key, episode)
+
+
+def with_body(registry: Registry, spec: SuiteSpec) -> Registry:
+    """What is installed, and the robot that exists in the suite's simulation alone."""
+    if spec.body is None:
+        return registry
+    body = Offer(spec=spec.body, distribution="", status=Status.READY)
+    return replace(registry, all_offers=(*registry.all_offers, body))
 
 
 def installed_versions() -> dict[str, str]:

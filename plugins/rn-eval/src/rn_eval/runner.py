@@ -16,7 +16,7 @@ import numpy as np
 
 from rn_eval.episode import EpisodeClock
 from rn_eval.latency import parse_latency
-from rn_eval.plan import EvalPlan, Job
+from rn_eval.plan import EvalPlan, Job, with_body
 from rn_eval.policy import Policy, load_backend
 from rn_eval.record import Measured, Outcome, Record
 from rn_eval.suite import Setup
@@ -52,11 +52,12 @@ class Runner:
         plan, config = self._plan, self._plan.load_config()
         parts = plan.check(self._registry, plan.presets[0])
         assert parts.backend is not None
-        assert parts.controller is not None
-        profile = load_profile(self._registry, parts.robot.name)
-        profile = replace(profile, collision=collision_of(config.limits, profile))
-        controller = cast("Controller", build(parts.controller, config.options(parts.controller.name), profile))
-        controller.load()
+        profile = load_profile(with_body(self._registry, plan.suite_spec(self._registry)), parts.robot.name)
+        controller: Controller | None = None
+        if parts.controller is not None:
+            profile = replace(profile, collision=collision_of(config.limits, profile))
+            controller = cast("Controller", build(parts.controller, config.options(parts.controller.name), profile))
+            controller.load()
         cameras = {role: profile.camera(name) for role, name in parts.cameras.items()}
         setup = Setup(
             profile=profile,
@@ -150,7 +151,9 @@ class Runner:
     def close(self) -> None:
         """Release everything; may be called twice."""
         self.close_policy()
-        self._setup.controller.close()
+        self._suite.close()
+        if self._setup.controller is not None:
+            self._setup.controller.close()
 
 
 def refuse_early(plan: EvalPlan) -> None:

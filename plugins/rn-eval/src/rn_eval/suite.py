@@ -39,14 +39,14 @@ class Setup:
     Attributes:
         profile: of the suite's robot, with the configured collision model.
         cameras: cameras by the backend's role.
-        controller: loaded; from actions to joint commands.
+        controller: loaded; from actions to joint commands. None when the suite's simulator has its own.
         config: limits, timeouts and options as the robot would be run with.
         needs_state: the backend reads joints, TCP pose and gripper.
     """
 
     profile: RobotProfile
     cameras: Mapping[str, CameraProfile]
-    controller: Controller
+    controller: Controller | None
     config: Config
     needs_state: bool
 
@@ -74,10 +74,12 @@ class Scene(Protocol):
     Attributes:
         tick_s: the clock's resolution [simulated s]; `advance` takes whole ticks.
         camera_ticks: a new image is taken every so many ticks.
+        judge_ticks: `judge` is asked every so many ticks.
     """
 
     tick_s: float
     camera_ticks: int
+    judge_ticks: int
 
     def observe(self, stamp_ns: int) -> Observation:
         """Images and state of this moment, stamped so, with the instruction."""
@@ -112,9 +114,13 @@ class Suite(Protocol):
     """Tasks in one simulated world. Built as `target(config)`; used from one thread."""
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The episodes of a run; more of them begin with the same ones."""
+        """The episodes of a run, in the order in which they run best; more of them contain the same ones."""
         ...
 
     def open(self, episode: Episode, setup: Setup) -> Scene:
         """Build the scene of one episode."""
+        ...
+
+    def close(self) -> None:
+        """Release what is kept between episodes; may be called twice."""
         ...

@@ -49,6 +49,19 @@ def rotvec_by_down(matrix: F64) -> F64:
     return nearer_rotvec(rotvec_from_matrix(matrix), np.array(DOWN_ROTVEC_RAD))
 
 
+def rotvec_by_quaternion(quaternion_xyzw: F64) -> F64:
+    """Unit quaternion (4,) -> rotation vector (3,) [rad], 0 .. 2 pi long: q and -q give different ones.
+
+    Source: robosuite's quat2axisangle, which the LIBERO evaluation of OpenVLA-OFT and openpi copies.
+    """
+    w = float(np.clip(quaternion_xyzw[3], -1.0, 1.0))
+    sine = np.sqrt(1.0 - w * w)
+    if sine == 0.0:
+        return np.zeros(3)
+    vector: F64 = quaternion_xyzw[:3] * 2.0 * np.arccos(w) / sine
+    return vector
+
+
 def rpy_by_down(matrix: F64) -> F64:
     """TCP rotation (3, 3) -> roll, pitch, yaw (3,) [rad] against a gripper that points down, for which they are 0.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -17,6 +19,7 @@ F32 = NDArray[np.float32]
 ImageStep = Literal["rotate_180", "jpeg_95", "resize_lanczos", "center_crop_90"]
 
 _CROP_AREA = 0.9
+_LANCZOS_RADIUS = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,13 +65,40 @@ def _rotate_180(image: U8, size: int) -> U8:
 
 
 def _jpeg_95(image: U8, size: int) -> U8:
+    """Encode as JPEG and decode again, bit for bit as tf.image.encode_jpeg and tf.io.decode_image do.
+
+    TensorFlow decodes with the fast integer transform where PIL takes the accurate one: 64 % of the values of a LIBERO
+    image differ, by 1 on average and by up to 17.
+    """
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="JPEG", quality=95)
-    return np.asarray(Image.open(buffer))
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="JPEG", quality=95, subsampling=2)
+    decoded: U8 = simplejpeg.decode_jpeg(buffer.getvalue(), "RGB", fastdct=True, fastupsample=False)
+    return decoded
 
 
 def _resize_lanczos(image: U8, size: int) -> U8:
-    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((size, size), Image.Resampling.LANCZOS))
+    """Resize in float32 and round once, where PIL rounds after each direction.
+
+    Source: tf.image.resize(method="lanczos3", antialias=True), then tf.round, clip and cast.
+    """
+    height, width = image.shape[:2]
+    rows = _lanczos(height, size) @ image.reshape(height, -1).astype(np.float32)
+    turned = rows.reshape(size, width, -1).transpose(1, 0, 2).reshape(width, -1)
+    columns = (_lanczos(width, size) @ turned).reshape(size, size, -1).transpose(1, 0, 2)
+    return np.clip(np.round(columns), 0, 255).astype(np.uint8)
+
+
+@functools.lru_cache(maxsize=8)
+def _lanczos(given: int, wanted: int) -> F32:
+    """Weights (wanted, given) of the Lanczos kernel with three lobes, antialiased; rows sum to 1."""
+    step = np.float32(given) / np.float32(wanted)
+    widening = max(step, np.float32(1.0))
+    centres = (np.arange(wanted, dtype=np.float32) + np.float32(0.5)) * step
+    at = np.abs((np.arange(given, dtype=np.float32)[None] + np.float32(0.5) - centres[:, None]) / widening)
+    kernel = np.where(at <= _LANCZOS_RADIUS, np.sinc(at) * np.sinc(at / _LANCZOS_RADIUS), 0.0).astype(np.float32)
+    weights: F32 = kernel / kernel.sum(axis=1, keepdims=True)
+    weights.setflags(write=False)
+    return weights
 
 
 def _center_crop_90(image: U8, size: int) -> U8:

@@ -15,6 +15,8 @@ from roboneuron import CheckpointError, ConfigurationError
 
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]
+_NO_NOOPS = "_no_noops"
+"""LIBERO data sets without idle steps. Source: run_libero_eval.py of OpenVLA and OFT looks for this name too."""
 Key = Annotated[str, Field(max_length=200)]
 """Name of a data set."""
 Values = Annotated[tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...], Field(max_length=256)]
@@ -103,7 +105,7 @@ class Scaling:
 def choose_statistics(
     known: Mapping[str, DatasetStatistics], key: str | None, source: str
 ) -> tuple[str, DatasetStatistics]:
-    """The statistics of data set `key`, or of the only one when `key` is None.
+    """The statistics of data set `key` (or of `key` with "_no_noops"), or of the only one when `key` is None.
 
     Raises:
         ConfigurationError: no such data set, or several and none named; lists the choices.
@@ -119,6 +121,8 @@ def choose_statistics(
                 hint=f"Choose one of: {choices}.",
             )
         key = next(iter(known))
+    if key not in known and f"{key}{_NO_NOOPS}" in known:
+        key += _NO_NOOPS
     if key not in known:
         raise ConfigurationError(
             f"unnorm_key is {clip(key)!r}, but {source} holds no such data set.", hint=f"Choose one of: {choices}."

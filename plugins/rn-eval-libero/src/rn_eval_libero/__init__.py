@@ -1,0 +1,1 @@
+"""RoboNeuron suites: the four LIBERO suites."""

@@ -1,0 +1,77 @@
+"""Messages of vla-eval's model servers: msgpack over a websocket, images and arrays as tagged maps.
+
+Source: vla-eval 0.8.0, vla_eval/protocol (protocol version 1).
+"""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import Any, Literal, NamedTuple, cast
+
+import msgpack
+import numpy as np
+from PIL import Image
+
+from roboneuron import InvalidInputError
+
+PROTOCOL_VERSION = 1
+MOST_MESSAGE_BYTES = 64 * 1024 * 1024
+MOST_PIXELS = 4096 * 4096
+Kind = Literal["hello", "observation", "action", "episode_start", "episode_end", "error"]
+_KINDS = ("hello", "observation", "action", "episode_start", "episode_end", "error")
+_NUMBERS = "biuf"
+
+
+class Message(NamedTuple):
+    """One message.
+
+    Attributes:
+        kind: what it is.
+        payload: by kind; arrays are numpy arrays.
+        seq: number of the request, which its answer repeats.
+    """
+
+    kind: Kind
+    payload: dict[str, Any]
+    seq: int
+
+
+def pack(message: Message) -> bytes:
+    """Serialise a message."""
+    raw = {"type": message.kind, "payload": message.payload, "seq": message.seq, "timestamp": time.time()}
+    return cast("bytes", msgpack.packb(raw, default=_to_map, use_bin_type=True))
+
+
+def unpack(data: object) -> Message:
+    """Read a message. Raises InvalidInputError when it is not of this protocol."""
+    if not isinstance(data, bytes):
+        raise InvalidInputError("Expected a binary message.")
+    try:
+        raw = msgpack.unpackb(data, object_hook=_from_map, raw=False)
+        kind, payload, seq = raw["type"], raw["payload"], raw["seq"]
+    except (ValueError, TypeError, KeyError, OSError, msgpack.UnpackException) as error:
+        raise InvalidInputError(f"A message could not be read: {type(error).__name__}: {error}.") from error
+    if kind not in _KINDS or not isinstance(payload, dict) or type(seq) is not int:
+        raise InvalidInputError(f"A message is of type {kind!r}; known are {', '.join(_KINDS)}.")
+    return Message(kind, payload, seq)
+
+
+def _to_map(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return {"__ndarray__": True, "data": value.tobytes(), "dtype": value.dtype.str, "shape": list(value.shape)}
+    raise TypeError(f"{type(value).__name__} is not sent")
+
+
+def _from_map(value: dict[str, Any]) -> object:
+    if "__image__" in value and value["format"] != "raw":
+        picture = Image.open(io.BytesIO(value["data"]), formats=("PNG", "JPEG"))
+        if picture.width * picture.height > MOST_PIXELS:
+            raise ValueError(f"an image of {picture.width} x {picture.height} pixels")
+        return np.asarray(picture)
+    if "__image__" not in value and "__ndarray__" not in value:
+        return value
+    dtype = np.dtype(value["dtype"])
+    if dtype.kind not in _NUMBERS:
+        raise ValueError(f"arrays of {dtype} are not taken")
+    return np.frombuffer(value["data"], dtype=dtype).reshape(value["shape"])
