@@ -22,7 +22,8 @@ COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))
+  $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
+  $(patsubst %/rn-eval,'%/rn-eval[ray]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 

@@ -43,6 +43,8 @@ class Events:
         stop: a module is about to be stopped because somebody asked for it.
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a word for the fault,
             and facts that JSON can hold.
+        call: a tool was called and answered; its name, the arguments as sent, the client, the code of the error (empty
+            when it succeeded), and how long it took [s].
     """
 
     def __init__(self) -> None:
@@ -52,3 +54,4 @@ class Events:
         self.change: Event[[ModuleKind]] = Event()
         self.stop: Event[[ModuleKind]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
+        self.call: Event[[str, Mapping[str, Any], str, str, float]] = Event()
