@@ -12,6 +12,8 @@ install = @printf '  %-52s ' '$(1)'; begun=$$(date +%s); \
   else echo failed; cat $(VENV)/.pip.log; exit 1; fi
 PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
+N ?= 50
+LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
@@ -27,7 +29,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: help demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
+.PHONY: help demo demo-fr3 demo-bases record-demos test-lerobot eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -56,6 +58,20 @@ eval-demo: $(VENV)/.develop ## the servo policy on 200 seeds, then by execution 
 	$(BIN)/roboneuron eval run --backend servo --episodes 200 --seed 10000 --workers $(JOBS) --out out/eval/servo $(ARGS)
 	$(BIN)/roboneuron eval run --backend servo --episodes 50 --seed 10000 --workers $(JOBS) --out out/eval/servo-latency \
 	  --execution sequential,overlap --latency 0 --latency 112ms --latency 250ms $(ARGS)
+
+record-demos: $(VENV)/.develop ## record N demonstrations in simulation, and export them as a LeRobotDataset (out/demos)
+	$(BIN)/python examples/record_demos.py -n $(N) $(ARGS)
+
+test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opened by lerobot itself (its own environment)
+	$(BIN)/python -m pytest plugins/rn-recorder/tests/test_runs_become_data_sets.py -m "slow or not slow" $(ARGS)
+
+.venv-lerobot: .venv-lerobot/.ready
+
+.venv-lerobot/.ready:
+	@echo "Setting up .venv-lerobot (once, several gigabytes; lerobot needs Python >= 3.12) ..."
+	$(LEROBOT_PYTHON) -m venv .venv-lerobot
+	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
+	@touch $@
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)

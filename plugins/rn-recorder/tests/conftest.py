@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.site import PluginSite
 
+sys.path.append(str(Path(__file__).parent))  # for recorder_demonstrations
 CONFIG = """
 [robot]
 name = "gantry"

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rn_runs.store import Run, Store
 
 _NEWEST = 'id of a run (its beginning will do), "latest", or a path of MCAP files'
+_SEVERAL = f'{_NEWEST}; "all" for all recordings'
 
 
 class Runs:
@@ -35,13 +36,17 @@ class Runs:
         delete = actions.add_parser("delete", help="delete runs")
         delete.add_argument("runs", nargs="+", metavar="RUN", help="ids")
         delete.add_argument("--yes", action="store_true", help="do not ask")
-        self._configure_export(actions.add_parser("export", help="write runs as one MCAP file"))
+        self._configure_export(actions.add_parser("export", help="write runs as a data set, or as one MCAP file"))
 
     def _configure_export(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
-        add("runs", nargs="+", metavar="RUN", help=_NEWEST)
+        add("runs", nargs="+", metavar="RUN", help=_SEVERAL)
         target = parser.add_mutually_exclusive_group(required=True)
+        target.add_argument("--lerobot", type=Path, metavar="DIRECTORY", help="a LeRobotDataset v3 of their episodes")
         target.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file of all parts")
+        add("--outcome", choices=("success", "failure", "unknown"), help="only episodes that ended so")
+        add("--fps", type=int, help="rows per second of the data set; default: the rate of the actions")
+        add("--codec", choices=("av1", "h264"), default="av1", help="of the data set's videos (default: av1)")
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron runs`."""
@@ -83,6 +88,13 @@ def find_run(store: Store, name: str) -> Run:
     if path.is_dir() and (files := tuple(sorted(path.glob("*.mcap")))):
         return Run(id=path.name, kind="recording", files=files, facts={})
     return store.get(name)
+
+
+def find_runs(store: Store, name: str) -> list[Run]:
+    """As `find_run`; "all" stands for all recordings."""
+    if name == "all":
+        return [run for run in store.runs() if run.kind == "recording"]
+    return [find_run(store, name)]
 
 
 def _list(store: Store, as_json: bool) -> int:
@@ -169,7 +181,14 @@ def _delete(store: Store, names: list[str], agreed: bool) -> int:
 def _export(store: Store, arguments: Namespace) -> int:
     from rn_runs.files import copy_records, read_about
 
-    runs = [find_run(store, name) for name in arguments.runs]
+    runs = [found for name in arguments.runs for found in find_runs(store, name)]
+    if arguments.lerobot is not None:
+        from rn_runs.lerobot import export
+
+        written = export(runs, arguments.lerobot, outcome=arguments.outcome, fps=arguments.fps, codec=arguments.codec)
+        frames = f"{written.frames} frames at {written.fps} Hz"
+        print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
+        return 0
     files = [path for run in runs for path in run.files]
     if not files:
         raise InvalidInputError("These runs hold no files.")

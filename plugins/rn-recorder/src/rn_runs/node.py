@@ -23,7 +23,7 @@ from rn_runs.images import COMPRESSED, IMAGE, to_jpeg, to_string
 from rn_runs.recording import Recording, Rules
 from rn_runs.settings import RecorderSettings
 from rn_runs.store import Store
-from roboneuron.errors import RoboNeuronError, StateError
+from roboneuron import RoboNeuronError, StateError
 from roboneuron.gate.audit import FILE_NAME as AUDIT
 from roboneuron.log_files import begin_logging
 from roboneuron.modules.parent_watch import Signals

@@ -21,7 +21,7 @@ from typing import Any
 
 from rn_runs.files import FLUSH_S, Record, RunFile, copy_records, repair, write_json
 from rn_runs.store import RUN_FILE, Store
-from roboneuron.errors import StateError
+from roboneuron import StateError
 
 log = logging.getLogger(__name__)
 SEGMENT_S = 5.0

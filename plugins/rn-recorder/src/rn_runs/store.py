@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rn_runs.files import is_finished, read_about, read_statistics, repair
-from roboneuron.errors import InvalidInputError, StateError
+from roboneuron import InvalidInputError, StateError
 
 log = logging.getLogger(__name__)
 RUN_FILE = "run.json"
