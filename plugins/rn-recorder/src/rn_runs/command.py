@@ -36,6 +36,11 @@ class Runs:
         delete = actions.add_parser("delete", help="delete runs")
         delete.add_argument("runs", nargs="+", metavar="RUN", help="ids")
         delete.add_argument("--yes", action="store_true", help="do not ask")
+        self._configure_replay(
+            actions.add_parser(
+                "replay", help="feed a run to a backend and compare, or play its actions into a simulation"
+            )
+        )
         self._configure_export(actions.add_parser("export", help="write runs as a data set, or as one MCAP file"))
 
     def _configure_export(self, parser: ArgumentParser) -> None:
@@ -48,6 +53,18 @@ class Runs:
         add("--fps", type=int, help="rows per second of the data set; default: the rate of the actions")
         add("--codec", choices=("av1", "h264"), default="av1", help="of the data set's videos (default: av1)")
 
+    def _configure_replay(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("run", help=_NEWEST)
+        add("--against", choices=("backend", "robot"), default="backend", help="robot: recorded actions, in simulation")
+        add("--backend", help="which backend gets the observations (default: the one that was recorded)")
+        add("--checkpoint", help="folder of the model's files")
+        add("--runtime", help="runtime; default: the backend's own")
+        add("--acceleration", help="acceleration preset")
+        add("--option", action="append", default=[], metavar="NAME=VALUE", help="an option of the backend")
+        add("--tolerance", type=float, default=1e-9, help="differences up to this count as equal (default: 1e-9)")
+        add("--out", type=Path, help="folder for comparison.json and comparison.png")
+
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron runs`."""
         store = open_store(arguments)
@@ -57,6 +74,8 @@ class Runs:
             return _show(find_run(store, arguments.run), arguments.json)
         if arguments.action == "delete":
             return _delete(store, arguments.runs, arguments.yes)
+        if arguments.action == "replay":
+            return _replay(find_run(store, arguments.run), arguments)
         return _export(store, arguments)
 
 
@@ -176,6 +195,59 @@ def _delete(store: Store, names: list[str], agreed: bool) -> int:
         store.delete(run)
         print(f"Deleted: {run.id}")
     return 0
+
+
+def _replay(run: Run, arguments: Namespace) -> int:
+    """Status 1 when the backend diverges, or control refused an action."""
+    if arguments.against == "robot":
+        from rn_runs.against_robot import play
+
+        played = play(run.files, arguments.config)
+        refused = ", ".join(f"{count} {reason}" for reason, count in played.dropped.items())
+        print(f"{played.sent} actions sent; not acted on: {refused or 'none'}.")
+        if played.end_m is not None:
+            print(f"The TCP ended {played.end_m * 1e3:.1f} mm from where it was recorded; path {played.path_m:.3f} m.")
+        return int(bool(played.dropped))
+    from rn_runs.comparison import compare, describe, write_report
+    from rn_runs.files import read_about
+    from rn_runs.replay import load_replayed, replay
+
+    about = read_about(run.files[0])
+    recorded = ((json.loads(about.get("config", "{}")) or {}).get("inference") or {}).get("backend")
+    backend = arguments.backend or recorded
+    if backend is None:
+        raise InvalidInputError("The run does not say which backend it is of.", hint="Give --backend NAME.")
+    if about.get("images") == "jpeg":
+        print("Images were recorded as JPEG: answers differ from what the pixels before gave.", file=sys.stderr)
+    observations, loaded = load_replayed(
+        run.files,
+        backend=backend,
+        config=arguments.config,
+        checkpoint=arguments.checkpoint,
+        runtime=arguments.runtime,
+        acceleration=arguments.acceleration,
+        options=dict(_option(text) for text in arguments.option),
+    )
+    try:
+        found = list(replay(observations, loaded))
+    finally:
+        loaded.close()
+    comparison = compare(found, arguments.tolerance)
+    print(describe(comparison, found))
+    if arguments.out is not None:
+        write_report(arguments.out, found, comparison)
+        print(f"{arguments.out}: comparison.json, comparison.png")
+    return int(comparison.diverging > 0)
+
+
+def _option(text: str) -> tuple[str, object]:
+    name, separator, value = text.partition("=")
+    if not separator:
+        raise ConfigurationError(f"--option is {text!r}, expected NAME=VALUE.")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 def _export(store: Store, arguments: Namespace) -> int:
