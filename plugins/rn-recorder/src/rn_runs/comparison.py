@@ -80,7 +80,8 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
         after_s = (one.at_ns - found[0].at_ns) / 1e9
         lines.append(
             f"{comparison.diverging} of {comparison.predictions} predictions differ by more than "
-            f"{comparison.tolerance:g}; the first is number {comparison.first}, {after_s:.2f} s after the beginning ({one.instruction!r})."
+            f"{comparison.tolerance:g}; "
+            f"the first is number {comparison.first}, {after_s:.2f} s after the beginning ({one.instruction!r})."
         )
         if one.error:
             lines.append(f"The replayed backend refused it: {one.error}")
