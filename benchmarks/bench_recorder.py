@@ -1,8 +1,8 @@
 """What recording costs: two cameras 640x480 at 30 Hz, joints at 120 Hz, with and without the recorder, in turns.
 
-A source publishes images and joint states, a relay answers each image of the first camera with an action, and the source
-takes the time from an image's stamp to its action. Every other turn a recorder (JPEG) runs beside them and records. At the
-end the files are read: messages that the publishers counted and the files lack.
+A source publishes images and joint states, a relay answers each image of the first camera with an action, and the
+source takes the time from an image's stamp to its action. Every other turn a recorder (JPEG) runs beside them and
+records. At the end the files are read: messages that the publishers counted and the files lack.
 
     python benchmarks/bench_recorder.py                   # 2 minutes
     python benchmarks/bench_recorder.py --minutes 10      # the figure that is asked for
@@ -96,7 +96,7 @@ def source(seconds: float) -> None:
             publisher.publish(to_image(frame))
         due_s += 1 / IMAGE_HZ
         time.sleep(max(0.0, due_s - time.monotonic()))
-    moving.join()
+    moving.join(10.0)
     time.sleep(0.5)
     print(json.dumps({"images": number, "latencies": latencies}))
     rclpy.try_shutdown()
@@ -171,7 +171,7 @@ def turn_of(directory: Path, turn: int, seconds: float, *, recorded: bool) -> di
         share = used_s / (time.monotonic() - begun_s)
     output, _ = playing.communicate(timeout=seconds + 60)
     relaying.kill()
-    relaying.wait()
+    relaying.wait(10.0)
     status: dict[str, Any] = {}
     if child is not None:
         time.sleep(1.0)
@@ -228,9 +228,8 @@ def measure(directory: Path, seconds: float, pairs: int) -> None:
         print(f"{run.id}: {sum(c.messages for c in counts.values())} messages, {size:.0f} MB, lost: {lost}")
     for turn in found[True]:
         status = turn["status"]
-        print(
-            f"recorder: dropped {status.get('dropped')}, lost to disk {status.get('lost_to_disk')}, {status.get('gaps')}"
-        )
+        lost = f"lost to disk {status.get('lost_to_disk')}, gaps {status.get('gaps')}"
+        print(f"recorder: dropped {status.get('dropped')}, {lost}")
 
 
 if __name__ == "__main__":

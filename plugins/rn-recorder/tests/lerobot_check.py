@@ -14,7 +14,8 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 def main(root: str, expected_path: str) -> None:
     """Compare; raises AssertionError."""
-    expected = np.load(expected_path)
+    with np.load(expected_path) as file:
+        expected = dict(file)
     dataset = LeRobotDataset("local/demos", root=root, video_backend="pyav")
     assert dataset.num_episodes == int(expected["episodes"]), dataset.num_episodes
     assert dataset.num_frames == len(expected["action"]), dataset.num_frames

@@ -88,10 +88,9 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
         elif len(one.recorded) != len(one.replayed):
             lines.append(f"It has {len(one.replayed)} rows, the recorded one {len(one.recorded)}.")
         else:
-            row, axis = np.unravel_index(int(np.abs(one.difference).argmax()), one.difference.shape)
-            lines.append(
-                f"Row {row}, {AXES[int(axis)]}: {one.recorded[row, axis]:.6g} -> {one.replayed[row, axis]:.6g}"
-            )
+            row, place = divmod(int(np.abs(one.difference).argmax()), len(AXES))
+            before, after = one.recorded[row, place], one.replayed[row, place]
+            lines.append(f"Row {row}, {AXES[place]}: {before:.6g} -> {after:.6g}")
     lines.append(f"A replayed prediction took {comparison.took_ms:.1f} ms (median).")
     return "\n".join(lines)
 

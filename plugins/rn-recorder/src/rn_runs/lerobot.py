@@ -15,21 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_runs import lerobot_meta as meta
 from rn_runs.episodes import Episode, read_episodes, stamp_of
-from rn_runs.files import Record, read_about, read_records
+from rn_runs.files import Record, read_records
 from rn_runs.images import pixels_of
+from rn_runs.lerobot_meta import Source
 from rn_runs.reading import MessageDecoder, camera_of
 from rn_runs.statistics import Stats, image_stats, merge, stats_of
 from rn_runs.store import Run
 from rn_runs.video import CameraVideo, Codec, sample_every
 from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError
 
-VERSION = "v3.0"
 _FILE = "chunk-000/file-000"
-ACTION_NAMES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
 _RECENT = 90
 """Images of each camera that are kept undecoded."""
-POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +38,6 @@ class Written:
     episodes: int
     frames: int
     fps: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Source:
-    run: Run
-    episodes: list[Episode]
-    joint_names: tuple[str, ...]
-    cameras: tuple[str, ...]
 
 
 def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec) -> Written:
@@ -109,27 +100,27 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
     finally:
         for video in videos.values():
             video.close()
-    features = _features(first, videos, rate, codec)
-    table = pa.table({name: _array(pa, values, features[name]) for name, values in columns.items()})
+    features = meta.features(first, videos, rate, codec)
+    table = pa.table({name: meta.array(pa, values, features[name]) for name, values in columns.items()})
     for name, written in (
         (f"data/{_FILE}.parquet", table),
         (f"meta/episodes/{_FILE}.parquet", pa.Table.from_pylist(listed)),
-        ("meta/tasks.parquet", _tasks(pa, tasks)),
+        ("meta/tasks.parquet", meta.tasks(pa, tasks)),
     ):
         path = directory / name
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(written, path)
     whole = {name: merge([part[name] for part in parts]).to_lists() for name in parts[0]}
     _write_json(directory / "meta/stats.json", whole)
-    _write_json(directory / "meta/info.json", _info(first, features, episodes, tasks, rate))
-    _write_json(directory / "meta/roboneuron.json", _origin(sources, episodes))
+    _write_json(directory / "meta/info.json", meta.info(first, features, episodes, tasks, rate))
+    _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
     return Written(len(episodes), begin, rate)
 
 
-def _read(run: Run, outcome: str | None) -> _Source:
+def _read(run: Run, outcome: str | None) -> Source:
     episodes, streams = read_episodes(run.id, run.files, run.facts)
     kept = [episode for episode in episodes if outcome is None or episode.outcome == outcome]
-    return _Source(run, kept, streams.joint_names, tuple(sorted(streams.images)))
+    return Source(run, kept, streams.joint_names, tuple(sorted(streams.images)))
 
 
 def _rate(episodes: Sequence[Episode]) -> int:
@@ -140,7 +131,7 @@ def _rate(episodes: Sequence[Episode]) -> int:
 
 
 def _write_videos(
-    source: _Source, videos: Mapping[str, CameraVideo]
+    source: Source, videos: Mapping[str, CameraVideo]
 ) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
     """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
 
@@ -212,90 +203,6 @@ def _episode_entry(
     for name, values in stats.items():
         entry |= {f"stats/{name}/{key}": value for key, value in values.to_lists().items()}
     return entry | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
-
-
-def _features(source: _Source, videos: Mapping[str, CameraVideo], fps: int, codec: Codec) -> dict[str, Any]:
-    features: dict[str, Any] = {}
-    if source.episodes[0].rows[0].joints.size:
-        features["observation.state"] = _feature("float32", source.joint_names)
-    if source.episodes[0].rows[0].ee_pose.size:
-        features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
-    features["action"] = _feature("float32", ACTION_NAMES)
-    features["roboneuron.action"] = _feature("float64", ACTION_NAMES)
-    for camera, video in videos.items():
-        height, width, channels = video.shape
-        facts = {"video.height": height, "video.width": width, "video.codec": codec, "video.pix_fmt": "yuv420p"}
-        features[f"observation.images.{camera}"] = {
-            "dtype": "video",
-            "shape": [height, width, channels],
-            "names": ["height", "width", "channels"],
-            "info": {**facts, "video.fps": fps, "video.channels": 3, "has_audio": False, "is_depth_map": False},
-        }
-    features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    for name in ("roboneuron.sent_ns", "roboneuron.image_ns", "frame_index", "episode_index", "index", "task_index"):
-        features[name] = {"dtype": "int64", "shape": [1], "names": None}
-    return features
-
-
-def _feature(dtype: str, names: Sequence[str]) -> dict[str, Any]:
-    return {"dtype": dtype, "shape": [len(names)], "names": list(names)}
-
-
-def _array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
-    kinds = {"float32": pa.float32(), "float64": pa.float64(), "int64": pa.int64()}
-    kind, size = kinds[feature["dtype"]], feature["shape"][0]
-    if feature["names"] is None:
-        return pa.array(values, type=kind)
-    flat = np.concatenate(values).astype(feature["dtype"])
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat, type=kind), size)
-
-
-def _tasks(pa: Any, tasks: Sequence[str]) -> Any:
-    """With the tasks as pandas' index, which lerobot reads them by."""
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
-    columns = [
-        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
-        {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
-    ]
-    described = [{**column, "metadata": None} for column in columns]
-    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": described, "pandas_version": "2.0.0"}
-    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-
-
-def _info(
-    source: _Source, features: dict[str, Any], episodes: Sequence[Episode], tasks: Sequence[str], fps: int
-) -> dict[str, Any]:
-    return {
-        "codebase_version": VERSION,
-        "fps": fps,
-        "features": features,
-        "total_episodes": len(episodes),
-        "total_frames": sum(len(episode.rows) for episode in episodes),
-        "total_tasks": len(tasks),
-        "chunks_size": 1000,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
-        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "robot_type": read_about(source.run.files[0]).get("robot"),
-        "splits": {"train": f"0:{len(episodes)}"},
-    }
-
-
-def _origin(sources: Sequence[_Source], episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Units, frames and where each episode comes from."""
-    about = read_about(sources[0].run.files[0])
-    contract = json.loads(about.get("contract", "{}"))
-    return {
-        "contract": contract,
-        "rows": "one for each action that was sent; timestamp is frame_index / fps, roboneuron.sent_ns the time itself",
-        "config": json.loads(about.get("config", "{}")),
-        "roboneuron": about.get("roboneuron", ""),
-        "episodes": [
-            {"run": e.run, "instruction": e.instruction, "outcome": e.outcome, "begun_ns": e.rows[0].sent_ns}
-            for e in episodes
-        ],
-    }
 
 
 def _write_json(path: Path, value: Mapping[str, Any]) -> None:

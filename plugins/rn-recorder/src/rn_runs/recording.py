@@ -14,19 +14,20 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rn_runs.files import FLUSH_S, Record, RunFile, copy_records, repair, write_json
+from rn_runs.files import Record, repair, write_json
+from rn_runs.incident import Incident, cut
+from rn_runs.sink import Sink
 from rn_runs.store import RUN_FILE, Store
 from roboneuron import StateError
 
 log = logging.getLogger(__name__)
 SEGMENT_S = 5.0
 """Length of one file of the ring."""
-RETRY_S = 2.0
 _CHECK_S = 1.0
 
 
@@ -50,67 +51,6 @@ class Rules:
     min_free_bytes: int = 500_000_000
 
 
-class _Sink:
-    """A row of files: one is open, and the next one begins when `is_full` says so."""
-
-    def __init__(self, name: str, next_path: Callable[[], Path], about: Mapping[str, str]) -> None:
-        self.name = name
-        self.file: RunFile | None = None
-        self.lost = 0
-        self.problem = ""
-        self._next_path = next_path
-        self._about = about
-        self._flushed_s = 0.0
-        self._retry_s = 0.0
-
-    def write(self, record: Record, now_s: float) -> None:
-        if self.problem and now_s < self._retry_s:
-            self.lost += 1
-            return
-        try:
-            if self.file is None:
-                path = self._next_path()
-                path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
-                self.file = RunFile(path, {**self._about, "begun_ns": str(record.log_ns)})
-                self._flushed_s = now_s
-            self.problem = ""
-            self.file.write(record)
-            self.flush(now_s)
-        except OSError as error:
-            self.lost += 1
-            self.fail(error, now_s)
-
-    def flush(self, now_s: float) -> None:
-        """Write what is buffered, if it is due."""
-        if self.file is None or now_s - self._flushed_s < FLUSH_S:
-            return
-        self._flushed_s = now_s
-        try:
-            self.file.flush()
-        except OSError as error:
-            self.fail(error, now_s)
-
-    def fail(self, error: OSError, now_s: float) -> None:
-        reason = error.strerror or str(error)
-        if reason != self.problem:
-            log.error("The %s cannot be written: %s; tried again every %g s.", self.name, reason, RETRY_S)
-        self.problem, self._retry_s = reason, now_s + RETRY_S
-        if self.file is not None:
-            self.file.abandon()
-            self.file = None
-
-    def finish(self) -> Path | None:
-        """Close the open file; returns its path."""
-        file, self.file = self.file, None
-        if file is None:
-            return None
-        try:
-            file.finish()
-        except OSError as error:
-            self.fail(error, time.monotonic())
-        return file.path
-
-
 @dataclass(slots=True)
 class _Active:
     """The recording in progress."""
@@ -118,18 +58,8 @@ class _Active:
     id: str
     folder: Path
     facts: dict[str, Any]
-    sink: _Sink
+    sink: Sink
     parts: int = 0
-
-
-@dataclass(slots=True)
-class _Incident:
-    """An incident whose time after the fault has not passed yet."""
-
-    id: str
-    at_ns: int
-    until_ns: int
-    facts: list[dict[str, Any]] = field(default_factory=list)
 
 
 class Recording:
@@ -159,9 +89,9 @@ class Recording:
         self._monotonic = monotonic
         self._ring: deque[Path] = deque()
         self._segment = 0
-        self._ring_sink = _Sink("ring", self._next_segment, self._about)
+        self._ring_sink = Sink("ring", self._next_segment, self._about)
         self._active: _Active | None = None
-        self._incident: _Incident | None = None
+        self._incident: Incident | None = None
         self._cutting: threading.Thread | None = None
         self._checked_s = 0.0
         self._space = ""
@@ -178,7 +108,7 @@ class Recording:
         left = sorted(self.store.ring.glob("*.mcap"))
         for path in self.store.ring.glob("*.json"):
             pending = json.loads(path.read_text(encoding="utf-8"))
-            self._cut(_Incident(pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"]), left)
+            self._cut(Incident(pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"]), left)
         for run in self.store.runs():
             for path in run.files:
                 repair(path)
@@ -245,7 +175,7 @@ class Recording:
             ) from error
         parts = len(list(folder.glob("part-*.mcap")))
         about = {**self._about, "run": run_id, "name": name}
-        sink = _Sink("recording", lambda: self._next_part(), about)
+        sink = Sink("recording", lambda: self._next_part(), about)
         self._active = _Active(run_id, folder, begun, sink, parts)
         return run_id
 
@@ -276,7 +206,7 @@ class Recording:
         now_ns = self._clock_ns()
         until_ns = now_ns + round(self.rules.after_s * 1e9)
         if self._incident is None:
-            self._incident = _Incident(f"{_stamp(now_ns)}-{word}", now_ns, until_ns)
+            self._incident = Incident(f"{_stamp(now_ns)}-{word}", now_ns, until_ns)
         pending = self._incident
         pending.facts.append({"at_ns": now_ns, "what": word, **facts})
         with suppress(OSError):  # for the next recorder, should this one die before it is written
@@ -337,26 +267,9 @@ class Recording:
         self._cutting = threading.Thread(target=self._cut, args=(incident, list(self._ring)), name="incident")
         self._cutting.start()
 
-    def _cut(self, incident: _Incident, segments: list[Path]) -> None:
-        since_ns = incident.at_ns - round(self.rules.ring_s * 1e9)
-        names = ", ".join(str(fact["what"]) for fact in incident.facts)
-        about = {**self._about, "run": incident.id, "incident": names, "at_ns": str(incident.at_ns)}
-        try:
-            self.store.make()
-            copy_records(
-                segments,
-                self.store.incidents / f"{incident.id}.mcap",
-                about,
-                since_ns=since_ns,
-                until_ns=incident.until_ns,
-                attachments={"incident.json": incident.facts},
-            )
-            (self.store.ring / f"{incident.id}.json").unlink(missing_ok=True)
-        except OSError as error:
-            log.error("The incident %s cannot be written: %s", incident.id, error)
-            return
-        self.incidents_written.append(incident.id)
-        log.warning("Incident recorded: %s", incident.id)
+    def _cut(self, incident: Incident, segments: list[Path]) -> None:
+        if cut(incident, segments, self.store, self.rules.ring_s, self._about):
+            self.incidents_written.append(incident.id)
 
     def _check_space(self) -> None:
         """End the parts in time before the disk is full, so that they have an index."""
