@@ -83,17 +83,17 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
             recorder = recorder_pid(parent)
             assert recorder is not None
 
-            async def dropped() -> dict[str, Any]:
+            async def pids() -> dict[str, Any]:
                 modules = (await do("get_status"))["modules"]
-                return {m["module"]: (m["health"], m["dropped"]) for m in modules}
+                return {m["module"]: m["pid"] for m in modules}  # health would measure the machine's load
 
-            before = await dropped()
+            before = await pids()
             os.kill(recorder, signal.SIGSTOP)
             await anyio.sleep(2.0)
-            assert {m: h for m, (h, _) in (await dropped()).items()} == dict.fromkeys(before, "ok")
+            assert await pids() == before
             os.kill(recorder, signal.SIGKILL)
             await until(lambda now: now["restarts"] == 1 and now["recording"] == second)
-            assert {m: h for m, (h, _) in (await dropped()).items()} == dict.fromkeys(before, "ok")
+            assert await pids() == before
             await anyio.sleep(1.5)
 
             perception = next(m["pid"] for m in (await do("get_status"))["modules"] if m["module"] == "perception")
@@ -137,7 +137,7 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     incidents = [run for run in runs.values() if run.kind == "incident"]
     told = [fact["what"] for run in incidents for fact in json.loads(read_attachments(run.files[0])["incident.json"])]
     assert "server_ended" in told
-    assert "perception-exited" in {run.id.split("Z-", 1)[1] for run in incidents}
+    assert "perception-exited" in told
     for incident in incidents:
         assert "incident.json" in read_attachments(incident.files[0])
         assert any(True for _ in read_records(incident.files[0]))
