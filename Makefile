@@ -12,6 +12,8 @@ install = @printf '  %-52s ' '$(1)'; begun=$$(date +%s); \
   else echo failed; cat $(VENV)/.pip.log; exit 1; fi
 PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
+N ?= 50
+LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
@@ -21,8 +23,9 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
+  $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
@@ -101,6 +104,20 @@ interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own c
 .venv-vla-eval/.ready:
 	$(PYTHON) -m venv .venv-vla-eval
 	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
+	@touch $@
+
+record-demos: $(VENV)/.develop ## record N demonstrations in simulation, and export them as a LeRobotDataset (out/demos)
+	$(BIN)/python examples/record_demos.py -n $(N) $(ARGS)
+
+test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opened by lerobot itself (its own environment)
+	$(BIN)/python -m pytest plugins/rn-recorder/tests/test_runs_become_data_sets.py -m "slow or not slow" $(ARGS)
+
+.venv-lerobot: .venv-lerobot/.ready
+
+.venv-lerobot/.ready:
+	@echo "Setting up .venv-lerobot (once, several gigabytes; lerobot needs Python >= 3.12) ..."
+	$(LEROBOT_PYTHON) -m venv .venv-lerobot
+	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool

@@ -23,6 +23,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if hasattr(config, "workerinput") or "ROS_DOMAIN_ID" not in os.environ:
         os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
+    # A recorder beside every server would take a third of this machine; its own tests switch it on.
+    os.environ["ROBONEURON_RECORDER"] = "off"
 
 
 @pytest.fixture(autouse=True, scope="module")

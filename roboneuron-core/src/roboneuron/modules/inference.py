@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import ACTION_SIZE, ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
 from roboneuron.errors import ConfigurationError, NotReadyError
@@ -23,11 +23,12 @@ from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.prediction import prediction_record
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_action_message
-from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, camera_image, camera_info
+from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, PREDICTIONS, camera_image, camera_info
 
 _WAIT_S = 0.1
 _PREDECESSOR_S = 0.1
@@ -105,6 +106,7 @@ class InferenceModule(Module):
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._publisher = node.advertise(Float64MultiArray, ACTION)
+        self._predictions = node.advertise(String, PREDICTIONS)
         abilities = Abilities(
             conditions_on_rows=spec.conditions_on_rows,
             max_committed_rows=spec.max_committed_rows,
@@ -219,23 +221,32 @@ class InferenceModule(Module):
 
     def _predict(self, prediction: Prediction) -> ActionChunk:
         """Ask the backend."""
-        if self._instruction.is_new:
+        resets = self._instruction.is_new
+        if resets:
             self._instruction.is_new = False
             self._backend.reset()
         started_s = time.monotonic()
         try:
             chunk = self._backend.predict(prediction.observation)
-        except Exception:
+        except Exception as error:
+            self._tell(prediction, resets, error)
             self._executor.drop()  # rows that were planned before must not go on when the newest image is refused
             raise
         took_s = time.monotonic() - started_s
         self._took_s.append(took_s)
         self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)
         self._worker.progress()
+        self._tell(prediction, resets, chunk)
         self.status.set_value("inference_ms", took_s * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
         return chunk
+
+    def _tell(self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception) -> None:
+        """Publish what was asked and answered, while somebody records it."""
+        if self._predictions.get_subscription_count():
+            record = prediction_record(prediction.observation, prediction.mode, resets, answer)
+            self._predictions.publish(String(data=record))
 
     def _check_age(self, prediction: Prediction) -> None:
         """Raise NotReadyError for an answer in shadow that comes too late to be acted on."""

@@ -3,6 +3,8 @@
 ACTION = "action"
 JOINT_STATES = "joint_states"
 EE_POSE = "ee_pose"
+PREDICTIONS = "predictions"
+"""std_msgs/String: one JSON object for each prediction, see `roboneuron.modules.prediction`; only while one listens."""
 JOINT_TRAJECTORY = "joint_trajectory"
 JOINT_COMMAND = "joint_command"
 DIAGNOSTICS = "/diagnostics"

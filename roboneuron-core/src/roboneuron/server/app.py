@@ -185,6 +185,7 @@ class Application:
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_change=self.notices.tools_changed,
+            on_call=self.events.call.tell,
         )
         self.host = Host(self)
         self.events.change.listen(self._on_module)

@@ -45,6 +45,8 @@ class Events:
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a word for the fault,
             and facts that JSON can hold.
         decision: the gate or the emergency stop of this process wrote a record; on the thread that asked.
+        call: a tool was called and answered; its name, the arguments as sent, the client, the code of the error (empty
+            when it succeeded), and how long it took [s].
     """
 
     def __init__(self) -> None:
@@ -55,3 +57,4 @@ class Events:
         self.stop: Event[[ModuleKind]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
         self.decision: Event[[AuditRecord]] = Event()
+        self.call: Event[[str, Mapping[str, Any], str, str, float]] = Event()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import threading
+import time
 import uuid
 from base64 import b64encode
 from collections import Counter
@@ -40,6 +41,7 @@ class ToolRegistry:
             those who act; what stops something is never refused.
         on_change: called, from any thread, when the listed derived tools changed.
         ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
+        on_call: told of each call that was answered, as `Events.call`.
     """
 
     def __init__(
@@ -49,7 +51,9 @@ class ToolRegistry:
         most_calls: int = 64,
         ready: Callable[[], Awaitable[None]] | None = None,
         on_change: Callable[[], object] = lambda: None,
+        on_call: Callable[[str, Mapping[str, Any], str, str, float], object] = lambda *_: None,
     ) -> None:
+        self._on_call = on_call
         self._admissions: list[Admission] = []
         self._ready = ready
         self._on_change = on_change
@@ -132,6 +136,13 @@ class ToolRegistry:
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Validate, run, and answer; every failure is an MCP error result. Raises QuestionError, which is none."""
+        begun_s = time.monotonic()
+        result = await self._answer(name, arguments, context)
+        code = str((result.meta or {})[ERROR_META]["code"]) if result.is_error else ""
+        self._on_call(name, arguments, context.who, code, time.monotonic() - begun_s)
+        return result
+
+    async def _answer(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         try:
             tool = self._find(name)
             check_role(tool, context)

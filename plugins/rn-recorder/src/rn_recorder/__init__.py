@@ -1,0 +1,1 @@
+"""The feature `recorder`: starts, steers and watches the recorder's process."""

@@ -1,0 +1,178 @@
+"""The feature: tells the recorder's process what happens in the server, and offers its tools."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rn_recorder.options import RecorderOptions
+from rn_recorder.process import RecorderProcess
+from rn_recorder.tools import recording_tools
+from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
+from rn_runs.store import Store
+from roboneuron import ConfigurationError, Feature, Host, Tool, __version__
+from roboneuron.config import Config
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
+
+SWITCH = "ROBONEURON_RECORDER"
+"""Environment variable; "off" is as `enabled = false` (tests, small machines)."""
+FOLDER = "runs"
+_ORDINARY = frozenset({"ungrounded"})
+"""An instruction that a backend cannot follow is an answer, not a fault."""
+_SECTIONS = ("robot", "perception", "inference", "control", "limits")
+_MOST_ARGUMENTS = 4096
+CONTRACT = {
+    "action": "dx dy dz [m], rx ry rz [rad, rotation vector], gripper [0 closed .. 1 open]",
+    "action_frame": "base; p' = p + d, R' = exp(r) R",
+    "joint_states": "rad, rad/s (m, m/s for prismatic joints)",
+    "ee_pose": "TCP in the base frame; m, quaternion x y z w",
+    "images": "rgb8, stamped with capture time",
+    "time": "ns since 1970 (ROS clock)",
+}
+"""Units and frames of the contract's streams, as every file says them."""
+
+
+def runs_directory(options: RecorderOptions, state_directory: Path) -> Path:
+    """Where runs are kept."""
+    return Path(options.directory).expanduser() if options.directory else state_directory / FOLDER
+
+
+class Recorder(Feature[RecorderOptions]):
+    """Starts the recorder with the server, and ends it with it."""
+
+    _process: RecorderProcess | None = None
+
+    def check(self, config: Config) -> None:
+        """Refuse a directory that is a file."""
+        if self.options.directory and Path(self.options.directory).expanduser().is_file():
+            raise ConfigurationError(
+                f"directory in [recorder] is {self.options.directory!r}, a file.", hint="Name a folder."
+            )
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """start_recording, stop_recording and list_recordings."""
+        self._host = host
+        self._store = Store(runs_directory(self.options, host.state_directory))
+        self._restarting = threading.Lock()
+        self._process = self._make()
+        host.events.health.listen(self._on_health)
+        host.events.fault.listen(self._on_fault)
+        host.events.change.listen(self._on_change)
+        host.events.call.listen(self._on_call)
+        return recording_tools(self._store, lambda: self._process, self.is_enabled)
+
+    def start(self, host: Host) -> None:
+        """Start the recorder's process; it joins ROS by itself."""
+        assert self._process is not None
+        if not self.is_enabled:
+            return
+        self._namespace = host.config.namespace
+        self._process.start()
+        if self.options.record:
+            process = self._process
+            threading.Thread(target=self._record, args=(process,), name="recording", daemon=True).start()
+
+    def close(self) -> None:
+        """Let the recorder finish its files."""
+        if self._process is not None:
+            self._process.close()
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether there is a recorder."""
+        return self.options.enabled and os.environ.get(SWITCH, "").lower() != "off"
+
+    def _record(self, process: RecorderProcess) -> None:
+        answer = process.ask({"do": "start", "name": "server", "facts": {}}, timeout_s=60.0)
+        process.resume_with(str(answer.get("id", "")), "server")
+
+    def _make(self) -> RecorderProcess:
+        observers = self._host.supervisor.observers
+        return RecorderProcess(
+            self._spawn, lambda pid: observers.tell(lambda observer: observer.ended(pid, "recorder"))
+        )
+
+    def _spawn(self, start: int, resume: str, name: str) -> subprocess.Popen[bytes]:
+        supervisor, options = self._host.supervisor, self.options
+        supervisor.observers.tell(lambda observer: observer.spawning())
+        config = self._host.config
+        self._namespace = config.namespace
+        settings = RecorderSettings(
+            namespace=config.namespace,
+            state_directory=supervisor.state_directory,
+            directory=self._store.directory,
+            topics=options.topics,
+            exclude=options.exclude,
+            images=options.images,
+            jpeg_quality=options.jpeg_quality,
+            rules=RulesSettings(
+                ring_s=options.ring_s,
+                after_s=options.incident_after_s,
+                part_bytes=options.part_mb * 10**6,
+                part_s=options.part_s,
+                quota_bytes=options.quota_mb * 10**6,
+                min_free_bytes=options.min_free_mb * 10**6,
+            ),
+            about=self._about(config),
+            resume=resume,
+            resume_name=name,
+        )
+        return spawn_recorder(settings, supervisor.log_directory / "recorder.log", start, supervisor.secret_variables)
+
+    def _about(self, config: Config) -> dict[str, str]:
+        sections = {name: value for name, value in config.model_dump(mode="json").items() if name in _SECTIONS}
+        return {
+            "robot": config.robot.name,
+            "driver": config.robot.driver,
+            "namespace": config.namespace,
+            "cameras": json.dumps(self._host.loop.camera_roles()),
+            "config": json.dumps(sections),
+            "contract": json.dumps(CONTRACT),
+            "images": self.options.images,
+            "roboneuron": __version__,
+        }
+
+    def _note(self, what: str, facts: Mapping[str, Any], incident: str = "") -> None:
+        if self._process is not None and self.is_enabled:
+            self._process.note(what, facts, incident)
+
+    def _on_health(self, view: ModuleView, before: Health, health: Health) -> None:
+        error = view.report.error if view.report is not None else ""
+        code = view.report.error_code if view.report is not None else ""
+        is_fault = health in FAULTS and not (health == "failing" and code in _ORDINARY)
+        facts: dict[str, Any] = {"module": view.kind, "before": before, "health": health, "error": error}
+        facts["explanation"] = EXPLANATIONS[health]
+        self._note("health", facts, f"{view.kind}-{health}" if is_fault else "")
+
+    def _on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+        plain = {key: value for key, value in facts.items() if key != "actions"}  # those are recorded anyway
+        self._note("fault", {"module": module, "fault": what, **plain}, f"{module}-{what}")
+
+    def _on_change(self, kind: ModuleKind) -> None:
+        view = self._host.supervisor.view(kind)
+        names = dict(view.choice.names) if view.choice is not None else {}
+        self._note("change", {"module": kind, "phase": view.phase, "names": names})
+        if kind == "robot" and view.phase == "running" and self._host.config.namespace != self._namespace:
+            threading.Thread(target=self._restart, name="recorder-restart", daemon=True).start()
+
+    def _on_call(self, name: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float) -> None:
+        text = json.dumps(arguments, default=str)
+        kept: Any = arguments if len(text) <= _MOST_ARGUMENTS else {"begins": text[:_MOST_ARGUMENTS]}
+        facts = {"tool": name, "arguments": kept, "who": who, "error": code, "took_ms": round(took_s * 1e3, 2)}
+        self._note("call", facts)
+
+    def _restart(self) -> None:
+        """Another robot has other topics: begin anew."""
+        with self._restarting:
+            assert self._process is not None
+            if self._host.config.namespace == self._namespace:
+                return
+            self._process.close()
+            self._process = self._make()
+            self._process.start()

@@ -1,0 +1,30 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="recorder",
+    summary="Records images, actions, states, tool calls and verdicts to MCAP files; keeps the time around incidents.",
+    target="rn_recorder.feature:Recorder",
+    config="rn_recorder.options:RecorderOptions",
+)
+"""Descriptor of the feature."""
+
+COMMAND = CommandSpec(
+    name="runs",
+    summary="list, show, export, replay and delete recorded runs",
+    target="rn_runs.command:Runs",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)

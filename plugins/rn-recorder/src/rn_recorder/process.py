@@ -1,0 +1,196 @@
+"""The recorder's process as the server sees it: orders through a bounded queue, answers, restarts.
+
+Nothing here waits for the recorder but the tools that ask it something, and those for a bounded time.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from roboneuron import NotReadyError
+
+log = logging.getLogger(__name__)
+MOST_ORDERS = 2000
+STALLED_S = 10.0
+"""Without a status for so long (it comes every 0.5 s), the recorder is ended and started again."""
+_LEAVE_S = 4.0
+_BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)
+_STEADY_S = 60.0
+"""A recorder that has run for so long may be started again at once."""
+Spawn = Callable[[int, str, str], "subprocess.Popen[bytes]"]
+
+
+class RecorderProcess:
+    """Keeps one recorder alive until `close`. Every method may be called from any thread.
+
+    Args:
+        spawn: starts one, given how many there were before, and id and name of a recording to go on with.
+        observe: told of a pid when it ended.
+    """
+
+    def __init__(self, spawn: Spawn, observe: Callable[[int], object] = lambda pid: None) -> None:
+        self._spawn = spawn
+        self._observe = observe
+        self._orders: queue.Queue[dict[str, Any]] = queue.Queue(MOST_ORDERS)
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._child: subprocess.Popen[bytes] | None = None
+        self._thread: threading.Thread | None = None
+        self._number = 0
+        self._told_s = 0.0
+        self._resume = ("", "")
+        self.status: dict[str, Any] = {}
+        self.starts = 0
+        self.dropped = 0
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that runs."""
+        child = self._child
+        return child.pid if child is not None and child.poll() is None else None
+
+    @property
+    def state(self) -> str:
+        """One word: off, starting, ok, stalled, ended."""
+        if self._thread is None:
+            return "off"
+        if self.pid is None:
+            return "ended" if self.starts else "starting"
+        if not self.status:
+            return "starting"
+        return "stalled" if time.monotonic() - self._told_s > 2.0 else "ok"
+
+    def start(self) -> None:
+        """Begin; does nothing the second time."""
+        if self._thread is None and not self._closing.is_set():
+            self._thread = threading.Thread(target=self._keep, name="recorder", daemon=True)
+            self._thread.start()
+
+    def note(self, what: str, facts: Mapping[str, Any], incident: str = "") -> None:
+        """Tell it of an event; never waits: what does not fit into the queue is dropped and counted."""
+        order = {"do": "event", "what": what, "at_ns": time.time_ns(), "facts": dict(facts), "incident": incident}
+        try:
+            self._orders.put_nowait(order)
+        except queue.Full:
+            self.dropped += 1
+
+    def ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
+        """Have it do something and return its answer.
+
+        Raises:
+            NotReadyError: it does not run, or gave no answer in time.
+        """
+        with self._changed:
+            self._number += 1
+            number = self._number
+        try:
+            self._orders.put_nowait({**order, "number": number})
+        except queue.Full:
+            raise NotReadyError("The recorder takes no orders.", hint="list_recordings tells how it is.") from None
+        with self._changed:
+            if not self._changed.wait_for(lambda: number in self._answers, timeout_s):
+                raise NotReadyError(
+                    f"The recorder has not answered within {timeout_s:g} s; it is {self.state}.",
+                    hint="list_recordings tells how it is; its log is recorder.log beside the modules' logs.",
+                )
+            return self._answers.pop(number)
+
+    def resume_with(self, run_id: str, name: str) -> None:
+        """What the next one goes on with, should this one die; empty for nothing."""
+        self._resume = (run_id, name)
+
+    def close(self) -> None:
+        """Let it finish its files, for a bounded time; idempotent."""
+        self._closing.set()
+        child, thread = self._child, self._thread
+        if child is not None and child.poll() is None:
+            with suppress(queue.Full):
+                self._orders.put_nowait({"do": "leave"})
+            try:
+                child.wait(_LEAVE_S)
+            except subprocess.TimeoutExpired:
+                self._kill(child)
+        if thread is not None:
+            thread.join(2.0)
+
+    def _keep(self) -> None:
+        """Start it, and again whenever it ends."""
+        while not self._closing.is_set():
+            begun_s = time.monotonic()
+            try:
+                child = self._spawn(self.starts, *self._resume)
+            except OSError as error:
+                log.error("The recorder cannot be started: %s", error)
+            else:
+                self.starts += 1
+                self._serve(child)
+            if self._closing.is_set():
+                return
+            is_steady = time.monotonic() - begun_s > _STEADY_S
+            delay_s = _BACKOFF_S[0 if is_steady else min(self.starts, len(_BACKOFF_S)) - 1]
+            log.warning("The recorder ended; started again in %g s. The robot is not affected.", delay_s)
+            self._closing.wait(delay_s)
+
+    def _serve(self, child: subprocess.Popen[bytes]) -> None:
+        """Carry orders and answers until it ends."""
+        self._child, self._told_s, self.status = child, time.monotonic(), {}
+        ended = threading.Event()
+        threads = [
+            threading.Thread(target=self._write, args=(child, ended), name="recorder-orders", daemon=True),
+            threading.Thread(target=self._read, args=(child,), name="recorder-answers", daemon=True),
+        ]
+        for thread in threads:
+            thread.start()
+        while child.poll() is None:
+            if time.monotonic() - self._told_s > STALLED_S and not self._closing.is_set():
+                log.warning("The recorder has said nothing for %g s: ended.", STALLED_S)
+                self._kill(child)
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(0.2)
+        ended.set()
+        for thread in threads:
+            thread.join(1.0)
+        self._observe(child.pid)
+
+    def _write(self, child: subprocess.Popen[bytes], ended: threading.Event) -> None:
+        assert child.stdin is not None
+        with suppress(OSError, ValueError), child.stdin:  # it ended; orders of that moment are lost
+            while not ended.is_set():
+                try:
+                    order = self._orders.get(timeout=0.2)
+                except queue.Empty:
+                    continue
+                child.stdin.write(json.dumps(order, default=str).encode() + b"\n")
+                child.stdin.flush()
+                if order["do"] == "leave":
+                    return
+
+    def _read(self, child: subprocess.Popen[bytes]) -> None:
+        assert child.stdout is not None
+        with child.stdout:
+            for line in child.stdout:
+                with suppress(ValueError):
+                    answer = json.loads(line)
+                    with self._changed:
+                        if "status" in answer:
+                            self.status, self._told_s = answer["status"], time.monotonic()
+                        elif isinstance(answer.get("re"), int):
+                            self._answers[answer["re"]] = answer
+                        self._changed.notify_all()
+
+    def _kill(self, child: subprocess.Popen[bytes]) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(2.0)

@@ -1,0 +1,182 @@
+"""The tools: begin and end a recording, list what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from pydantic import Field
+
+from rn_recorder.process import RecorderProcess
+from rn_runs.store import Run, Store
+from roboneuron import Arguments, CallContext, NotReadyError, Result, StateError, Tool
+
+_ANSWER_S = 10.0
+_NAME = r"^[a-z0-9][a-z0-9-]*$"
+Outcome = Literal["success", "failure", "unknown"]
+
+
+class StartRecording(Arguments):
+    """Arguments of start_recording."""
+
+    name: str = Field(
+        default="run", max_length=60, pattern=_NAME, description="Short name; lower-case letters, digits, hyphens."
+    )
+    note: str = Field(default="", max_length=500, description="Kept with the recording.")
+
+
+class Started(Result):
+    """A recording in progress."""
+
+    id: str
+    directory: str = Field(description="where it is written, on the server's host")
+
+
+class StopRecording(Arguments):
+    """Arguments of stop_recording."""
+
+    outcome: Outcome = Field(default="unknown", description="How it went; data sets are selected by it.")
+    note: str = Field(default="", max_length=500, description="Kept with the recording.")
+
+
+class Stopped(Result):
+    """A finished recording."""
+
+    id: str
+    files: list[str] = Field(description="MCAP files, on the server's host")
+    duration_s: float
+    size_bytes: int
+    lost: int = Field(description="messages that could not be written or came too fast")
+
+
+class ListRecordings(Arguments):
+    """Arguments of list_recordings."""
+
+    entries: int = Field(default=20, ge=1, le=200, description="Most runs; the newest are given.")
+
+
+class Entry(Result):
+    """A recording or an incident."""
+
+    id: str
+    kind: Literal["recording", "incident"]
+    begun_at: str = Field(description="ISO 8601; empty when unknown")
+    size_bytes: int
+    files: int
+    state: str = Field(description="recording, finished, interrupted")
+    outcome: str
+    note: str
+
+
+class Recordings(Result):
+    """What is there, newest first, and how the recorder is."""
+
+    recorder: str = Field(description="ok, starting, stalled, ended, or off")
+    recording: str = Field(description="id of the recording in progress; empty for none")
+    problem: str = Field(description="why nothing is written now; empty when all is well")
+    lost: int = Field(description="messages that could not be written or came too fast, since the recorder started")
+    restarts: int
+    runs: list[Entry]
+    directory: str
+
+
+def recording_tools(store: Store, process: Callable[[], RecorderProcess | None], is_enabled: bool) -> list[Tool[Any]]:
+    """start_recording, stop_recording and list_recordings."""
+
+    def recorder() -> RecorderProcess:
+        found = process()
+        if found is None or not is_enabled:
+            raise NotReadyError("The recorder is switched off.", hint="Set enabled = true in [recorder].")
+        return found
+
+    def ask(order: dict[str, Any]) -> dict[str, Any]:
+        answer = recorder().ask(order, _ANSWER_S)
+        if "error" in answer:
+            raise StateError(str(answer["error"]), hint=str(answer.get("hint", "")))
+        return answer
+
+    async def start_recording(arguments: StartRecording, context: CallContext) -> Started:
+        facts = {"note": arguments.note, "who": context.who, "outcome": "unknown"}
+        order = {"do": "start", "name": arguments.name, "facts": facts}
+        answer = await context.run(lambda _: ask(order))
+        recorder().resume_with(answer["id"], arguments.name)
+        return Started(id=answer["id"], directory=str(store.recordings / answer["id"]))
+
+    async def stop_recording(arguments: StopRecording, context: CallContext) -> Stopped:
+        facts: dict[str, Any] = {"outcome": arguments.outcome}
+        if arguments.note:
+            facts["note"] = arguments.note
+        recorder().resume_with("", "")
+        run = (await context.run(lambda _: ask({"do": "stop", "facts": facts})))["run"]
+        status = recorder().status
+        found = await context.run(lambda _: store.get(run["id"]))
+        return Stopped(
+            id=run["id"],
+            files=run["files"],
+            duration_s=round((run["ended_ns"] - run["begun_ns"]) / 1e9, 3),
+            size_bytes=found.size_bytes,
+            lost=int(run["lost_to_disk"]) + sum(status.get("gaps", {}).values()) + int(status.get("dropped", 0)),
+        )
+
+    async def list_recordings(arguments: ListRecordings, context: CallContext) -> Recordings:
+        runs = await context.run(lambda _: store.runs())
+        found = process()
+        status = found.status if found is not None else {}
+        lost = int(status.get("lost_to_disk", 0)) + int(status.get("dropped", 0))
+        return Recordings(
+            recorder=found.state if found is not None and is_enabled else "off",
+            recording=str(status.get("recording", "")),
+            problem=str(status.get("problem", "")),
+            lost=lost + sum(status.get("gaps", {}).values()),
+            restarts=max(0, found.starts - 1) if found is not None else 0,
+            runs=[_entry(run) for run in runs[::-1][: arguments.entries]],
+            directory=str(store.directory),
+        )
+
+    return [
+        Tool(
+            name="start_recording",
+            title="Begin a recording",
+            description=(
+                "Record images, actions, states, tool calls and verdicts to MCAP files until stop_recording. The "
+                "last seconds before an incident are kept without it."
+            ),
+            arguments=StartRecording,
+            result=Started,
+            handler=start_recording,
+        ),
+        Tool(
+            name="stop_recording",
+            title="End the recording",
+            description="Finish the files of the recording; say how it went, so that it can be used as data.",
+            arguments=StopRecording,
+            result=Stopped,
+            handler=stop_recording,
+            destructive=False,
+        ),
+        Tool(
+            name="list_recordings",
+            title="What was recorded",
+            description="Recordings and incidents on disk, and how the recorder is.",
+            arguments=ListRecordings,
+            result=Recordings,
+            handler=list_recordings,
+            read_only=True,
+            idempotent=True,
+        ),
+    ]
+
+
+def _entry(run: Run) -> Entry:
+    begun_ns = int(run.facts.get("begun_ns") or run.facts.get("at_ns") or 0)
+    return Entry(
+        id=run.id,
+        kind=run.kind,
+        begun_at=datetime.fromtimestamp(begun_ns / 1e9, UTC).isoformat() if begun_ns else "",
+        size_bytes=run.size_bytes,
+        files=len(run.files),
+        state=str(run.facts.get("state", "finished")),
+        outcome=str(run.facts.get("outcome", "")),
+        note=str(run.facts.get("note") or run.facts.get("incident") or ""),
+    )

@@ -1,0 +1,57 @@
+"""New lines of the audit, read from its file: verdicts of the gate, emergency stops, limits of control."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+_MOST = 1 << 20
+
+
+class AuditTail:
+    """Follows the file from its present end, also when it is rotated. Used from one thread."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor = -1
+        self._rest = b""
+        self._open(from_end=True)
+
+    def lines(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Lines that came since the last call, with what they say."""
+        yield from self._new()
+        with suppress(OSError):
+            there = os.stat(self._path)
+            if self._descriptor < 0 or os.fstat(self._descriptor).st_ino != there.st_ino:
+                self.close()
+                self._open(from_end=False)
+                yield from self._new()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _open(self, *, from_end: bool) -> None:
+        with suppress(OSError):
+            self._descriptor = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
+            self._rest = b""
+            if from_end:
+                os.lseek(self._descriptor, 0, os.SEEK_END)
+
+    def _new(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        while self._descriptor >= 0:
+            data = os.read(self._descriptor, _MOST)
+            if not data:
+                return
+            *whole, self._rest = (self._rest + data).split(b"\n")
+            for line in whole:
+                with suppress(ValueError):
+                    entry = json.loads(line)
+                    if isinstance(entry, dict):
+                        yield line.decode("utf-8", errors="replace"), entry

@@ -1,0 +1,209 @@
+"""Episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
+
+Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data set it wrote.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_runs import lerobot_meta as meta
+from rn_runs.episodes import Episode, read_episodes, stamp_of
+from rn_runs.files import Record, read_records
+from rn_runs.images import pixels_of
+from rn_runs.lerobot_meta import Source
+from rn_runs.reading import MessageDecoder, camera_of
+from rn_runs.statistics import Stats, image_stats, merge, stats_of
+from rn_runs.store import Run
+from rn_runs.video import CameraVideo, Codec, sample_every
+from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError
+
+_FILE = "chunk-000/file-000"
+_RECENT = 90
+"""Images of each camera that are kept undecoded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was exported."""
+
+    episodes: int
+    frames: int
+    fps: int
+
+
+def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec) -> Written:
+    """Write the episodes of these runs.
+
+    Args:
+        runs: in this order.
+        directory: must not exist yet.
+        outcome: only episodes that ended so.
+        fps: rows per second; by default the rate at which actions were sent.
+        codec: of the videos.
+
+    Raises:
+        ConfigurationError: the directory exists.
+        InvalidInputError: there is nothing to export, or runs differ in joints, cameras or image sizes.
+        MissingDependencyError: pyarrow or PyAV is not installed.
+    """
+    try:
+        import pyarrow as pa  # type: ignore[import-untyped]  # heavy
+        import pyarrow.parquet as pq  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise MissingDependencyError(
+            "Data sets need pyarrow.", hint="Install it: pip install './plugins/rn-recorder[export]'."
+        ) from error
+    if directory.exists():
+        raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")
+    sources = [_read(run, outcome) for run in runs]
+    episodes = [episode for source in sources for episode in source.episodes]
+    if not episodes:
+        raise InvalidInputError(f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs.")
+    first = sources[0]
+    for source in sources:
+        if (source.joint_names, source.cameras) != (first.joint_names, first.cameras):
+            raise InvalidInputError(
+                f"The run {source.run.id!r} has other joints or cameras than {first.run.id!r}.",
+                hint="Export them into data sets of their own.",
+            )
+    rate = fps or _rate(episodes)
+    videos = {
+        camera: CameraVideo(directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec)
+        for camera in first.cameras
+    }
+    tasks = list(dict.fromkeys(episode.instruction for episode in episodes))
+    columns: dict[str, list[Any]] = {}
+    listed: list[dict[str, Any]] = []
+    parts: list[dict[str, Stats]] = []
+    begin = 0
+    try:
+        for source in sources:
+            samples = _write_videos(source, videos)
+            for episode, sample in zip(source.episodes, samples, strict=True):
+                rows = _columns(episode, len(listed), begin, tasks.index(episode.instruction), rate)
+                stats = {name: stats_of(_matrix(values)) for name, values in rows.items()}
+                stats |= {f"observation.images.{camera}": image_stats(*sample[camera]) for camera in first.cameras}
+                parts.append(stats)
+                listed.append(_episode_entry(episode, len(listed), begin, rate, first.cameras, stats))
+                for name, values in rows.items():
+                    columns.setdefault(name, []).extend(values)
+                begin += len(episode.rows)
+    finally:
+        for video in videos.values():
+            video.close()
+    features = meta.features(first, videos, rate, codec)
+    table = pa.table({name: meta.array(pa, values, features[name]) for name, values in columns.items()})
+    for name, written in (
+        (f"data/{_FILE}.parquet", table),
+        (f"meta/episodes/{_FILE}.parquet", pa.Table.from_pylist(listed)),
+        ("meta/tasks.parquet", meta.tasks(pa, tasks)),
+    ):
+        path = directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(written, path)
+    whole = {name: merge([part[name] for part in parts]).to_lists() for name in parts[0]}
+    _write_json(directory / "meta/stats.json", whole)
+    _write_json(directory / "meta/info.json", meta.info(first, features, episodes, tasks, rate))
+    _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
+    return Written(len(episodes), begin, rate)
+
+
+def _read(run: Run, outcome: str | None) -> Source:
+    episodes, streams = read_episodes(run.id, run.files, run.facts)
+    kept = [episode for episode in episodes if outcome is None or episode.outcome == outcome]
+    return Source(run, kept, streams.joint_names, tuple(sorted(streams.images)))
+
+
+def _rate(episodes: Sequence[Episode]) -> int:
+    gaps = [np.diff([row.sent_ns for row in episode.rows]) for episode in episodes if len(episode.rows) > 1]
+    if not gaps:
+        raise InvalidInputError("No episode has two actions, so there is no rate.", hint="Give --fps.")
+    return max(1, round(1e9 / float(np.median(np.concatenate(gaps)))))
+
+
+def _write_videos(
+    source: Source, videos: Mapping[str, CameraVideo]
+) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
+    """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
+
+    One pass through the file: rows come in order of time, and what a backend saw is at most seconds old.
+    """
+    samples: list[dict[str, tuple[NDArray[np.float64], int]]] = [{} for _ in source.episodes]
+    wanted = {
+        camera: deque(
+            (row.images[camera], number) for number, episode in enumerate(source.episodes) for row in episode.rows
+        )
+        for camera in videos
+    }
+    recent: dict[str, deque[tuple[int, Record]]] = {camera: deque(maxlen=_RECENT) for camera in videos}
+    decoder = MessageDecoder()
+    for record in (record for path in source.run.files for record in read_records(path, decoder.definitions)):
+        camera = camera_of(record.topic)
+        if camera not in videos:
+            continue
+        recent[camera].append((stamp_of(record.data), record))
+        rows, video = wanted[camera], videos[camera]
+        while rows and (found := next((r for stamp, r in recent[camera] if stamp == rows[0][0]), None)) is not None:
+            _, number = rows.popleft()
+            image = pixels_of(decoder.decode(found), found.type)
+            video.add(image, 1, sample_every(len(source.episodes[number].rows)))
+            if not rows or rows[0][1] != number:
+                samples[number][camera] = video.take_sample()
+    missing = [camera for camera in videos if wanted[camera]]
+    if missing:
+        raise InvalidInputError(f"Images of camera {missing[0]!r} that the backend saw are not in {source.run.id!r}.")
+    return samples
+
+
+def _columns(episode: Episode, index: int, begin: int, task: int, fps: int) -> dict[str, list[Any]]:
+    rows = episode.rows
+    leading = next(iter(rows[0].images))
+    columns: dict[str, list[Any]] = {}
+    if rows[0].joints.size:
+        columns["observation.state"] = [row.joints.astype(np.float32) for row in rows]
+    if rows[0].ee_pose.size:
+        columns["observation.ee_pose"] = [row.ee_pose.astype(np.float32) for row in rows]
+    columns["action"] = [row.action.astype(np.float32) for row in rows]
+    columns["roboneuron.action"] = [row.action for row in rows]
+    columns["roboneuron.sent_ns"] = [row.sent_ns for row in rows]
+    columns["roboneuron.image_ns"] = [row.images[leading] for row in rows]
+    columns["timestamp"] = [np.float32(number / fps) for number in range(len(rows))]
+    columns["frame_index"] = list(range(len(rows)))
+    columns["episode_index"] = [index] * len(rows)
+    columns["index"] = list(range(begin, begin + len(rows)))
+    columns["task_index"] = [task] * len(rows)
+    return columns
+
+
+def _matrix(values: list[Any]) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64)
+    return array.reshape(len(values), -1)
+
+
+def _episode_entry(
+    episode: Episode, index: int, begin: int, fps: int, cameras: Sequence[str], stats: Mapping[str, Stats]
+) -> dict[str, Any]:
+    length = len(episode.rows)
+    entry: dict[str, Any] = {"episode_index": index, "tasks": [episode.instruction], "length": length}
+    entry |= {"data/chunk_index": 0, "data/file_index": 0}
+    entry |= {"dataset_from_index": begin, "dataset_to_index": begin + length}
+    for camera in cameras:
+        key = f"videos/observation.images.{camera}"
+        entry |= {f"{key}/chunk_index": 0, f"{key}/file_index": 0}
+        entry |= {f"{key}/from_timestamp": begin / fps, f"{key}/to_timestamp": (begin + length) / fps}
+    for name, values in stats.items():
+        entry |= {f"stats/{name}/{key}": value for key, value in values.to_lists().items()}
+    return entry | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+
+
+def _write_json(path: Path, value: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(value, indent=2), encoding="utf-8")

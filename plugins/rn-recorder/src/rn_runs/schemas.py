@@ -1,0 +1,61 @@
+"""Message definitions of ROS 2 types, as an MCAP file with the profile "ros2" holds them.
+
+Source of the format: MCAP well-known schema encodings, "ros2msg": the definition, then that of each type it uses, each
+after a line of 80 "=" and a line "MSG: package/Name".
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from functools import cache
+from pathlib import Path
+
+_RULE = "=" * 80
+_WIDTHS = (8, 16, 32, 64)
+_BUILT_IN = frozenset({"bool", "byte", "char", "float32", "float64", "string", "wstring"}).union(
+    *({f"int{bits}", f"uint{bits}"} for bits in _WIDTHS)
+)
+_FIELD = re.compile(r"\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
+
+
+@cache
+def definition(type_name: str) -> str:
+    """The concatenated definition of a message type such as "sensor_msgs/msg/Image".
+
+    Raises:
+        FileNotFoundError: no installed package holds it, or a type that it uses.
+    """
+    package, _, name = type_name.partition("/msg/")
+    parts = [_read(package, name)]
+    known, pending = {(package, name)}, _used(package, parts[0])
+    while pending:
+        used = pending.pop(0)
+        if used in known:
+            continue
+        known.add(used)
+        text = _read(*used)
+        parts.append(f"{_RULE}\nMSG: {used[0]}/{used[1]}\n{text}")
+        pending += _used(used[0], text)
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+def _read(package: str, name: str) -> str:
+    for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix]:
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if prefix and path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise FileNotFoundError(f"No definition of {package}/msg/{name} is installed.")
+
+
+def _used(package: str, text: str) -> list[tuple[str, str]]:
+    """Types that the fields of a definition have, without the built-in ones."""
+    found = []
+    for line in text.splitlines():
+        match = _FIELD.match(line.split("#", 1)[0])
+        if match is None or match[1] in _BUILT_IN:
+            continue
+        *outer, name = match[1].split("/")
+        found.append((outer[0] if outer else "std_msgs" if name == "Header" else package, name))
+    return found

@@ -1,0 +1,79 @@
+"""Files that messages are written to, one after the other; a disk that cannot be written costs messages only."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rn_runs.files import FLUSH_S, Record, RunFile
+
+log = logging.getLogger(__name__)
+RETRY_S = 2.0
+
+
+class Sink:
+    """One file is open at a time; `finish` ends it, and the next message begins another.
+
+    Attributes:
+        lost: messages that could not be written.
+        problem: why nothing is written now; empty when all is well.
+    """
+
+    def __init__(self, name: str, next_path: Callable[[], Path], about: Mapping[str, str]) -> None:
+        self.name = name
+        self.file: RunFile | None = None
+        self.lost = 0
+        self.problem = ""
+        self._next_path = next_path
+        self._about = about
+        self._flushed_s = 0.0
+        self._retry_s = 0.0
+
+    def write(self, record: Record, now_s: float) -> None:
+        if self.problem and now_s < self._retry_s:
+            self.lost += 1
+            return
+        try:
+            if self.file is None:
+                path = self._next_path()
+                path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+                self.file = RunFile(path, {**self._about, "begun_ns": str(record.log_ns)})
+                self._flushed_s = now_s
+            self.problem = ""
+            self.file.write(record)
+            self.flush(now_s)
+        except OSError as error:
+            self.lost += 1
+            self.fail(error, now_s)
+
+    def flush(self, now_s: float) -> None:
+        """Write what is buffered, if it is due."""
+        if self.file is None or now_s - self._flushed_s < FLUSH_S:
+            return
+        self._flushed_s = now_s
+        try:
+            self.file.flush()
+        except OSError as error:
+            self.fail(error, now_s)
+
+    def fail(self, error: OSError, now_s: float) -> None:
+        reason = error.strerror or str(error)
+        if reason != self.problem:
+            log.error("The %s cannot be written: %s; tried again every %g s.", self.name, reason, RETRY_S)
+        self.problem, self._retry_s = reason, now_s + RETRY_S
+        if self.file is not None:
+            self.file.abandon()
+            self.file = None
+
+    def finish(self) -> Path | None:
+        """Close the open file; returns its path."""
+        file, self.file = self.file, None
+        if file is None:
+            return None
+        try:
+            file.finish()
+        except OSError as error:
+            self.fail(error, time.monotonic())
+        return file.path

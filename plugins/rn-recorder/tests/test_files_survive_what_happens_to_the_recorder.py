@@ -1,0 +1,293 @@
+"""Files that are cut short, full disks, directories that cannot be written; ring, parts, quota and incidents."""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rn_runs.files import Record, RunFile, is_finished, read_about, read_attachments, read_records, repair
+from rn_runs.images import IMAGE, MessageError, parse_image, to_string
+from rn_runs.node import Backlog
+from rn_runs.reading import MessageDecoder, count_topics, iterate
+from rn_runs.recording import Recording, Rules
+from rn_runs.schemas import definition
+from rn_runs.store import Store
+from roboneuron import InvalidInputError, StateError
+
+STRING = "std_msgs/msg/String"
+START_NS = 1_700_000_000_000_000_000
+
+
+def record(number: int, at_ns: int | None = None, topic: str = "/told") -> Record:
+    at = START_NS + number * 10_000_000 if at_ns is None else at_ns
+    return Record(topic, STRING, at, at - 1000, number, to_string(f"message {number} " + "x" * 200))
+
+
+class Clock:
+    """Wall clock and monotonic clock that a test sets."""
+
+    def __init__(self) -> None:
+        self.s = 0.0
+
+    def ns(self) -> int:
+        return START_NS + round(self.s * 1e9)
+
+    def monotonic(self) -> float:
+        return self.s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def recording(tmp_path: Path, clock: Clock, **rules: float) -> Recording:
+    made = Recording(
+        Store(tmp_path / "runs"),
+        Rules(**{"min_free_bytes": 0, **rules}),  # type: ignore[arg-type]
+        {"robot": "gantry"},
+        clock_ns=clock.ns,
+        monotonic=clock.monotonic,
+    )
+    made.adopt()
+    return made
+
+
+def feed(made: Recording, clock: Clock, seconds: float, rate: int = 20, number: int = 0) -> int:
+    for _ in range(round(seconds * rate)):
+        number += 1
+        clock.s += 1 / rate
+        made.take(record(number, clock.ns()))
+        made.tick()
+    return number
+
+
+def test_a_file_cut_anywhere_opens_and_holds_all_whole_chunks(tmp_path: Path) -> None:
+    path = tmp_path / "whole.mcap"
+    file = RunFile(path, {"robot": "gantry"})
+    ends = []
+    for number in range(1, 41):
+        file.write(record(number))
+        if number % 10 == 0:
+            file.flush()
+            ends.append((file.size_bytes, number))
+    file.finish()
+    data = path.read_bytes()
+
+    @settings(max_examples=40)
+    @given(st.integers(min_value=0, max_value=len(data) - 1))
+    def check(length: int) -> None:
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(data[:length])
+        kept = max((number for end, number in ends if end <= length), default=0)
+        assert not is_finished(cut)
+        assert repair(cut)
+        assert is_finished(cut)
+        found = [entry.sequence for entry in read_records(cut)]
+        assert found[:kept] == list(range(1, kept + 1))
+
+    check()
+    assert not repair(path)
+    assert read_about(path)["robot"] == "gantry"
+    assert count_topics([path])["/told"].lost == 0
+
+
+def test_what_a_killed_recorder_loses_is_at_most_half_a_second(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock, ring_s=0)
+    run = made.start("demo", {})
+    last = feed(made, clock, 5.03)
+    found = [entry.sequence for entry in read_records(made.store.get(run).files[0])]  # as it is on disk now
+    assert found == list(range(1, len(found) + 1))
+    assert last - len(found) <= 0.5 * 20 + 1
+    del made  # never closed
+    store = Store(tmp_path / "runs")
+    assert store.repair() == list(store.get(run).files)
+    assert store.get(run).is_complete
+
+
+def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock, ring_s=0)
+    run = made.start("demo", {})
+    number = feed(made, clock, 3)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = made.store.get(run).files[0].stat().st_size
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, hard))  # the next chunk does not fit
+        number = feed(made, clock, 1.6, number=number)
+        assert made.state()["problem"]
+        assert made.state()["lost_to_disk"] > 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    feed(made, clock, 3, number=number)
+    assert made.state()["problem"] == ""
+    made.close()
+    made.store.repair()
+    files = made.store.get(run).files
+    assert len(files) >= 2
+    assert all(is_finished(path) for path in files)
+    assert len(list(read_records(files[0]))) >= 40
+
+
+def test_too_little_free_space_ends_the_part_with_an_index(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock, ring_s=0, min_free_bytes=0)
+    run = made.start("demo", {})
+    feed(made, clock, 2)
+    made.rules = Rules(ring_s=0, min_free_bytes=shutil.disk_usage(tmp_path).total)
+    feed(made, clock, 2)
+    assert "are free on the disk" in made.state()["problem"]
+    assert all(is_finished(path) for path in made.store.get(run).files)
+
+
+def test_a_directory_that_cannot_be_written_is_told_and_disturbs_nobody(tmp_path: Path, clock: Clock) -> None:
+    (tmp_path / "runs").write_text("a file where the directory should be")
+    made = Recording(Store(tmp_path / "runs"), Rules(), {}, clock_ns=clock.ns, monotonic=clock.monotonic)
+    with pytest.raises(OSError, match="runs"):
+        made.adopt()
+    feed(made, clock, 1)
+    assert made.state()["problem"]
+    with pytest.raises(StateError, match="cannot be written"):
+        made.start("demo", {})
+    made.incident("robot-exited", {})
+    (tmp_path / "runs").unlink()
+    feed(made, clock, 10)
+    made.close()
+    assert [run.kind for run in made.store.runs()] == ["incident"]
+
+
+def test_the_ring_holds_the_last_seconds_and_no_more(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock)
+    feed(made, clock, 100)
+    kept = [entry.log_ns for path in sorted(made.store.ring.glob("*.mcap")) for entry in read_records(path)]
+    assert clock.ns() - min(kept) >= 30e9
+    assert clock.ns() - min(kept) <= 42e9
+    made.close()
+
+
+def test_an_incident_is_one_file_with_the_time_around_it(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock)
+    number = feed(made, clock, 50)
+    at_ns = clock.ns()
+    name = made.incident("control-silent", {"explanation": "it says nothing"})
+    number = feed(made, clock, 2, number=number)
+    assert made.incident("inference-failing", {}) == name  # the same trouble
+    feed(made, clock, 10, number=number)
+    made.close()
+    incident = made.store.get(name)
+    kept = [entry.log_ns for entry in read_records(incident.files[0])]
+    assert at_ns - 30e9 <= min(kept) <= at_ns - 29.8e9
+    assert at_ns + 4.8e9 <= max(kept) <= at_ns + 5e9
+    told = json.loads(read_attachments(incident.files[0])["incident.json"])
+    assert [fact["what"] for fact in told] == ["control-silent", "inference-failing"]
+    assert is_finished(incident.files[0])
+
+
+def test_an_incident_is_written_by_the_next_recorder_when_this_one_dies(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock)
+    number = feed(made, clock, 20)
+    name = made.incident("robot-exited", {})
+    feed(made, clock, 2, number=number)
+    del made
+    after = recording(tmp_path, clock)
+    assert [run.id for run in after.store.runs()] == [name]
+    assert count_topics(after.store.get(name).files)["/told"].messages >= 21 * 20
+    assert not list(after.store.ring.iterdir())
+
+
+def test_parts_are_rotated_and_the_oldest_go_first(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock, ring_s=0, part_s=4, quota_bytes=40_000)
+    run = made.start("long", {})
+    number = feed(made, clock, 60)
+    parts = made.store.get(run).files
+    assert len(parts) < 60 / 4
+    assert parts[0].name != "part-0001.mcap"
+    done = made.stop({"outcome": "success"})
+    assert done["outcome"] == "success"
+    assert sum(path.stat().st_size for path in parts) <= 50_000
+    held = [entry.sequence for path in made.store.get(run).files for entry in read_records(path)]
+    assert held == list(range(held[0], number + 1))  # nothing is lost between two parts
+    made.close()
+
+
+def test_a_run_that_is_being_recorded_is_not_deleted(tmp_path: Path, clock: Clock) -> None:
+    made = recording(tmp_path, clock)
+    run = made.start("demo", {})
+    held = made.store.lock()
+    assert held is not None
+    with pytest.raises(StateError, match="is being recorded"):
+        made.store.delete(made.store.get(run))
+    assert made.store.repair() == []
+    made.close()
+    made.store.delete(made.store.get(run))
+    with pytest.raises(InvalidInputError, match="No run begins"):
+        made.store.get(run)
+
+
+def test_a_backlog_drops_and_counts_what_does_not_fit() -> None:
+    backlog = Backlog(most_bytes=1000)
+    for number in range(10):
+        backlog.put(record(number))
+    kept = 0
+    while backlog.get() is not None:
+        kept += 1
+    assert backlog.dropped == 10 - kept > 0
+    backlog.put(record(1))
+    assert backlog.get() is not None
+
+
+@pytest.fixture
+def image_message() -> tuple[bytes, np.ndarray]:
+    from rclpy.serialization import serialize_message
+
+    from roboneuron import Frame
+    from roboneuron.ros.messages import to_image
+
+    ramp = np.linspace(0, 255, 64 * 48 * 3).astype(np.uint8).reshape(48, 64, 3)
+    frame = Frame(camera="front", image=ramp, stamp_ns=START_NS + 5, frame_id="front_optical")
+    return bytes(serialize_message(to_image(frame))), ramp
+
+
+def test_images_are_read_and_encoded_without_ros(image_message: tuple[bytes, np.ndarray], tmp_path: Path) -> None:
+    from rn_runs.images import COMPRESSED, pixels_of, to_jpeg
+
+    message, ramp = image_message
+    raw = parse_image(message)
+    assert (raw.stamp_ns, raw.width, raw.height, raw.frame_id) == (START_NS + 5, 64, 48, b"front_optical")
+    encoded = to_jpeg(message, 95)
+    assert encoded is not None
+    with pytest.raises(MessageError):
+        parse_image(message[:100])
+    path = tmp_path / "images.mcap"
+    file = RunFile(path, {})
+    file.write(Record("/camera/front/image", IMAGE, START_NS, START_NS, 1, message))
+    file.write(Record("/camera/front/image/compressed", COMPRESSED, START_NS, START_NS, 1, encoded))
+    file.finish()
+    whole, small = (found for found in iterate([path], lambda topic: True))
+    np.testing.assert_array_equal(pixels_of(whole.message, IMAGE), ramp)
+    decoded = pixels_of(small.message, COMPRESSED)
+    assert np.abs(decoded.astype(int) - ramp).mean() < 6  # what JPEG takes from a steep ramp
+    assert small.message.header.frame_id == "front_optical"
+    assert small.message.format == "rgb8; jpeg compressed bgr8"
+
+
+@pytest.mark.parametrize(
+    "name", ["sensor_msgs/msg/Image", "diagnostic_msgs/msg/DiagnosticArray", "trajectory_msgs/msg/JointTrajectory"]
+)
+def test_definitions_are_complete(name: str) -> None:
+    from importlib import import_module
+
+    from rclpy.serialization import serialize_message
+
+    package, kind, short = name.split("/")
+    message = getattr(import_module(f"{package}.{kind}"), short)()
+    message.header.frame_id = "base"
+    decoder = MessageDecoder()
+    decoder.definitions[name] = definition(name)
+    decoded = decoder.decode(Record("/t", name, 0, 0, 0, bytes(serialize_message(message))))
+    assert decoded.header.frame_id == "base"

@@ -1,0 +1,107 @@
+"""Replay: a deterministic backend repeats itself to the last bit, another one is told apart at its first difference."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorder_demonstrations import CAMERAS, action, observation, picture, record_run, store_in
+
+from rn_runs.comparison import AXES, compare, describe, write_report
+from rn_runs.files import Record, RunFile
+from rn_runs.images import to_string
+from rn_runs.replay import EXACT, Compared, Observations, replay
+from rn_runs.store import Run
+from rn_testing.fakes import gantry_profile
+from roboneuron import ActionChunk, InvalidInputError, Observation, UngroundedError
+
+INSTRUCTIONS = [("pick up the cup", "success"), ("put it down", "failure")]
+
+
+class Recomputing:
+    """Answers as the run was recorded, as long as it sees exactly what was seen."""
+
+    def __init__(self, wrong_from: int = 1000, refuses: int = -1) -> None:
+        self.number = 0
+        self.resets = 0
+        self.wrong_from, self.refuses = wrong_from, refuses
+
+    def load(self) -> None:
+        """Nothing to load."""
+
+    def predict(self, seen: Observation) -> ActionChunk:
+        """Check the observation, and answer."""
+        number = self.number
+        self.number += 1
+        if number == self.refuses:
+            raise UngroundedError("There is no cup.")
+        wanted = observation(number, seen.instruction, 1_700_000_000_000_000_000)
+        assert {role: frame.camera for role, frame in seen.frames.items()} == CAMERAS
+        for role, camera in CAMERAS.items():
+            np.testing.assert_array_equal(seen.frames[role].image, picture(camera, number))
+            assert seen.frames[role].stamp_ns == wanted.frames[role].stamp_ns
+        assert seen.joints is not None
+        assert wanted.joints is not None
+        np.testing.assert_array_equal(seen.joints.position, wanted.joints.position)
+        assert seen.ee_pose is not None
+        assert seen.gripper_open == 0.5
+        rows = action(number)[None, :].copy()
+        if number >= self.wrong_from:
+            rows[0, 2] += 0.004
+        return ActionChunk(actions=rows, step_s=0.1)
+
+    def reset(self) -> None:
+        """Counted."""
+        self.resets += 1
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def replayed(run: Run, backend: Recomputing) -> list[Compared]:
+    profile = gantry_profile()
+    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    return list(replay(Observations(run.files, cameras, frozenset(), profile), backend))
+
+
+def test_a_deterministic_backend_repeats_itself(tmp_path: Path) -> None:
+    backend = Recomputing()
+    found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), backend)
+    comparison = compare(found, EXACT)
+    assert (comparison.predictions, comparison.diverging, comparison.first) == (16, 0, None)
+    assert comparison.largest.max() == 0.0
+    assert backend.resets == 3  # at the beginning, and with each instruction
+    assert "All 16 predictions equal" in describe(comparison, found)
+
+
+def test_the_first_divergence_is_named_and_plotted(tmp_path: Path) -> None:
+    found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(wrong_from=5))
+    comparison = compare(found, EXACT)
+    assert (comparison.diverging, comparison.first) == (11, 5)
+    np.testing.assert_allclose(comparison.largest[2], 0.004, atol=1e-12)
+    assert comparison.largest[[0, 1, 3, 4, 5, 6]].max() == 0.0
+    text = describe(comparison, found)
+    assert "the first is number 5, 0.50 s after the beginning ('pick up the cup')" in text
+    assert f"Row 0, {AXES[2]}: 0.01 -> 0.014" in text
+    write_report(tmp_path / "out", found, comparison)
+    told = json.loads((tmp_path / "out/comparison.json").read_text())
+    assert told["first_divergence"] == 5
+    assert (tmp_path / "out/comparison.png").stat().st_size > 10_000
+
+
+def test_a_refusal_is_a_divergence(tmp_path: Path) -> None:
+    found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(refuses=3))
+    comparison = compare(found, 1.0)
+    assert comparison.first == 3
+    assert "There is no cup." in describe(comparison, found)
+
+
+def test_a_run_without_predictions_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mcap"
+    file = RunFile(path, {})
+    file.write(Record("/told", "std_msgs/msg/String", 1, 1, 1, to_string("nothing")))
+    file.finish()
+    with pytest.raises(InvalidInputError, match="holds no predictions"):
+        Observations([path], {}, frozenset(), gantry_profile())

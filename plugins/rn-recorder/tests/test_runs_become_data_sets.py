@@ -1,0 +1,108 @@
+"""Exported data sets: rows equal the recording bit for bit, episodes are cut by instruction and outcome."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import av
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from recorder_demonstrations import action, picture, record_run, store_in
+
+from rn_runs.lerobot import export
+from rn_runs.statistics import merge, stats_of
+from roboneuron import ConfigurationError, InvalidInputError
+
+LEROBOT = Path(__file__).parents[3] / ".venv-lerobot" / "bin" / "python"
+TWO = [("pick up the cup", "success"), ("put it down", "failure")]
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_rows_equal_the_recording(tmp_path: Path) -> None:
+    run = record_run(store_in(tmp_path), "demo", TWO)
+    written = export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
+    assert (written.episodes, written.frames, written.fps) == (2, 16, 10)
+    table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
+    np.testing.assert_array_equal(table["roboneuron.action"], [action(number) for number in range(16)])
+    np.testing.assert_array_equal(table["action"], [action(number).astype(np.float32) for number in range(16)])
+    assert np.diff(table["roboneuron.image_ns"]).tolist() == [100_000_000] * 15
+    assert (np.array(table["roboneuron.sent_ns"]) - np.array(table["roboneuron.image_ns"]) == 30_000_000).all()
+    assert table["episode_index"] == [0] * 8 + [1] * 8
+    assert table["frame_index"] == [*range(8), *range(8)]
+    np.testing.assert_allclose(table["timestamp"][:8], np.arange(8) / 10, atol=1e-6)  # float32
+    for camera in ("front", "hand"):
+        video = frames_of(tmp_path / f"set/videos/observation.images.{camera}/chunk-000/file-000.mp4")
+        assert len(video) == 16
+        for number, image in enumerate(video):
+            error = np.abs(image.astype(int) - picture(camera, number)).mean()
+            assert error < 4, (camera, number)  # H.264 at crf 23; a neighbour differs by more than 12
+
+
+def test_units_frames_and_origin_are_told(tmp_path: Path) -> None:
+    run = record_run(store_in(tmp_path), "demo", TWO)
+    export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
+    info = json.loads((tmp_path / "set/meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0"
+    assert info["features"]["action"]["names"] == ["dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open"]
+    assert info["features"]["observation.state"]["names"] == ["shoulder", "elbow", "finger"]
+    origin = json.loads((tmp_path / "set/meta/roboneuron.json").read_text())
+    assert origin["contract"] == {"action": "m, rad"}
+    assert [(e["instruction"], e["outcome"]) for e in origin["episodes"]] == TWO
+    episodes = pq.read_table(tmp_path / "set/meta/episodes/chunk-000/file-000.parquet").to_pydict()
+    assert episodes["dataset_to_index"] == [8, 16]
+    assert episodes["videos/observation.images.front/from_timestamp"] == [0.0, 0.8]
+
+
+def test_episodes_are_selected_by_outcome(tmp_path: Path) -> None:
+    store = store_in(tmp_path)
+    runs = [record_run(store, "one", TWO), record_run(store, "two", [("pick up the cup", "success")])]
+    written = export(runs, tmp_path / "set", outcome="success", fps=None, codec="h264")
+    assert written.episodes == 2
+    tasks = pq.read_table(tmp_path / "set/meta/tasks.parquet").to_pydict()
+    assert tasks["task"] == ["pick up the cup"]
+    with pytest.raises(ConfigurationError, match="exists"):
+        export(runs, tmp_path / "set", outcome=None, fps=None, codec="h264")
+    with pytest.raises(InvalidInputError, match="No episode with the outcome 'unknown'"):
+        export(runs, tmp_path / "other", outcome="unknown", fps=None, codec="h264")
+
+
+def test_statistics_of_parts_merge_into_those_of_the_whole() -> None:
+    values = np.random.default_rng(0).normal(size=(300, 4))
+    merged, whole = merge([stats_of(values[:100]), stats_of(values[100:])]), stats_of(values)
+    for name in ("min", "max", "mean", "std"):
+        np.testing.assert_allclose(getattr(merged, name), getattr(whole, name), atol=1e-12)
+    assert merged.count == 300
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LEROBOT.exists(), reason="lerobot's environment is not there: make .venv-lerobot")
+def test_lerobot_opens_it_and_finds_what_was_recorded(tmp_path: Path) -> None:
+    run = record_run(store_in(tmp_path), "demo", TWO)
+    export([run], tmp_path / "set", outcome=None, fps=None, codec="av1")
+    table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
+    pictures = {
+        f"observation.images.{camera}": np.stack([picture(camera, number) for number in range(16)])
+        for camera in ("front", "hand")
+    }
+    np.savez(
+        tmp_path / "expected.npz",
+        episodes=2,
+        action=np.array([action(number) for number in range(16)]),
+        sent_ns=np.array(table["roboneuron.sent_ns"]),
+        image_ns=np.array(table["roboneuron.image_ns"]),
+        frame_index=np.array([*range(8), *range(8)]),
+        task=np.array(["pick up the cup"] * 8 + ["put it down"] * 8),
+        **pictures,
+    )
+    checker = Path(__file__).with_name("lerobot_check.py")
+    command = [str(LEROBOT), str(checker), str(tmp_path / "set"), str(tmp_path / "expected.npz")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False, env={"PATH": "/usr/bin"})
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "2 episodes, 16 frames equal" in done.stdout
