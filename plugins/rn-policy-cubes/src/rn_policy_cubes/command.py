@@ -31,14 +31,12 @@ class CubesPolicy:
             action="append",
             default=[],
             metavar="NAME=VALUE",
-            help="another value of the recipe, e.g. steps=500",
+            help="another value of the recipe: steps=500",
         )
         train.add_argument("--until", type=int, metavar="STEP", help="stop there, to go on another time")
         train.add_argument("--workers", type=int, default=1, help="processes that make demonstrations (default: 1)")
         train.add_argument("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
-        train.add_argument(
-            "--fuse", action="store_true", help="compile the layers: half the time (needs a C++ compiler)"
-        )
+        train.add_argument("--fuse", action="store_true", help="compile the layers: half the time; needs C++")
         pack = actions.add_parser("pack", help="write the trained weights as one small file")
         pack.add_argument("--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training")
         pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")

@@ -1,8 +1,7 @@
 """Packed weights: what was trained, by its name in the public layout; everything that is zero is left out.
 
-The public layout has 32,064 rows in each of its two vocabulary tables, of which a few hundred embeddings were trained, a
-table of output words that nothing reads, and the last block and the pooling head of the vision towers, which nothing
-runs. None of it is kept.
+The public layout has a table of 32,064 embeddings, of which a few hundred were trained, a table of output words that
+nothing reads, and the last block and the pooling head of the vision towers, which nothing runs. None of it is kept.
 """
 
 from __future__ import annotations

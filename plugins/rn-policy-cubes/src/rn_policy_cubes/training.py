@@ -166,8 +166,8 @@ def train(
     else:
         training = Training.begin(recipe, prompts, shards, device)
     if fuse:
-        for block in (*training.network.layers, *(b for tower in training.network.towers for b in tower.blocks)):
-            block.compile()
+        for layer in training.network.layers:
+            layer.compile(dynamic=False)
     weight, last = sampling(shards), recipe.steps if until is None else min(until, recipe.steps)
     curve = _Curve(directory / CURVE_FILE, say)
     saved_s = time.monotonic()

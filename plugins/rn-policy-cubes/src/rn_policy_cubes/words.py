@@ -18,22 +18,20 @@ I64 = NDArray[np.int64]
 
 SENTENCES = (
     "pick up the {} cube",
-    "grab the {} cube",
-    "lift the {} block",
     "please take the {} cube",
     "fetch the small {} block",
-    "grasp the {} box and lift it",
-    "get the {} cube from the table",
-    "raise the {} cube",
     "pick up the {} block",
-    "take the {} one",
     "please grab the {} box",
     "pick the {} cube up",
+    "now lift the {} block",
+    "get me the {} cube",
 )
+"""One length, so that compiled layers see one shape."""
 _PREFIX, _SUFFIX = "▁In:▁What▁action▁should▁the▁robot▁take▁to", "?\nOut:"
 _WORDS = (
-    "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand hold in it lift little me "
-    "move now of on one pick piece place please put raise robot seize small square table take that the this thing to up "
+    "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand hold in it lift "
+    "little me move now of on one pick piece place please put raise robot seize small square table take that the "
+    "this thing to up "
     "want wooden you red green blue yellow orange purple"
 )
 
