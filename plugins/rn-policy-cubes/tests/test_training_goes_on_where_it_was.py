@@ -46,7 +46,9 @@ def test_the_curve_tells_losses_and_held_out_figures(recipe: Recipe, shards: Pat
 def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     longer = recipe.model_copy(update={"steps": 40, "full_from": 1.0, "cool_down": 0.0, "views": 8})
     train(longer, tmp_path, shards, say=quiet, log_every=10, measure_every=1000)
-    totals = [line["total"] for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines()) if "total" in line]
+    totals = [
+        line["total"] for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines()) if "total" in line
+    ]
     assert totals[-1] < 0.9 * totals[0]
 
 
