@@ -57,7 +57,8 @@ def state_of(row: np.void) -> F32:
     """The state as rn-backend-oft normalises it, float32 (7,)."""
     rotation = row["rotation"].astype(np.float64)
     values = np.concatenate([row["tcp_m"], rpy_by_down(rotation), [row["opening"]]])
-    return np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0).astype(np.float32)
+    scaled = np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0)
+    return np.asarray(scaled, dtype=np.float32)
 
 
 def label(rows: NDArray[np.void]) -> Labels:

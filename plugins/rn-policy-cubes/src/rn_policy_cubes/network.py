@@ -52,7 +52,8 @@ def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Te
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if bias is not None:
         scores = scores + bias
-    return scores.softmax(dim=-1) @ value
+    result: Tensor = scores.softmax(dim=-1) @ value
+    return result
 
 
 class VisionBlock(nn.Module):
@@ -75,7 +76,8 @@ class VisionBlock(nn.Module):
         mixed = self.proj(attend(query, key, value, bias).transpose(1, 2).reshape(views, count, width))
         x = x + (mixed if self.ls1 is None else mixed * self.ls1)
         inner = self.fc2(functional.gelu(self.fc1(self.norm2(x))))
-        return x + (inner if self.ls2 is None else inner * self.ls2)
+        result: Tensor = x + (inner if self.ls2 is None else inner * self.ls2)
+        return result
 
 
 class VisionTower(nn.Module):
@@ -106,7 +108,8 @@ class VisionTower(nn.Module):
                 bias = functional.pad(bias, (self.prefix, 0))
         for block in self.blocks:
             x = block(x, bias)
-        return x[:, self.prefix :]
+        features: Tensor = x[:, self.prefix :]
+        return features
 
 
 class DecoderLayer(nn.Module):
@@ -133,7 +136,8 @@ class DecoderLayer(nn.Module):
         mixed = attend(query[:, :, count - last :], key, packed[2], bias)
         x = x[:, count - last :] + self.out(mixed.transpose(1, 2).reshape(pairs, last, hidden))
         gate, up = self.gate_up(norm(x, self.norm_post)).chunk(2, dim=-1)
-        return x + self.down(functional.silu(gate) * up)
+        result: Tensor = x + self.down(functional.silu(gate) * up)
+        return result
 
 
 def norm(x: Tensor, weight: Tensor) -> Tensor:

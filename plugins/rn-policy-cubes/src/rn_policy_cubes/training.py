@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from rn_policy_cubes.dataset import Batch, Shards, draw, sampling
 from rn_policy_cubes.losses import Helpers, losses
@@ -118,8 +118,8 @@ class Training:
         self.step += 1
         keep = min(_AVERAGE, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
-            averaged = [*self.average.parameters(), *self.average_helpers.parameters()]
-            torch._foreach_lerp_(averaged, parameters, 1.0 - keep)
+            averaged: list[Tensor] = [*self.average.parameters(), *self.average_helpers.parameters()]
+            torch._foreach_lerp_(averaged, list[Tensor](parameters), 1.0 - keep)
         self.cpu_s += time.process_time() - begun
         return {**result.numbers(), "rate": rate}
 

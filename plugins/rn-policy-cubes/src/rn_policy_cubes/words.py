@@ -84,7 +84,7 @@ class Prompts:
     def share(self) -> NDArray[np.float64]:
         """How many of the sentences each length has."""
         counts = np.array([len(ids) for ids in self.by_length], dtype=np.float64)
-        return counts / counts.sum()
+        return np.asarray(counts / counts.sum())
 
 
 def read_prompts(tokenizer: Path, sentences: Sequence[str] = SENTENCES) -> Prompts:
