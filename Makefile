@@ -18,6 +18,7 @@ LEROBOT_PYTHON ?= python3.12
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm plugins/rn-tools-inspect
+LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 # These compile ROS 2 types and need a C++ compiler; without one the rest works, and their tests are skipped.
 COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
@@ -29,12 +30,13 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
+.PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile) help demo demo-fr3 demo-bases train-cubes eval-demo test-fr3 bench-fci test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-demo: $(VENV)/.demo ## an agent picks up a cube with a simulated FR3
+# The learned policy needs PyTorch, which the demo otherwise does without.
+demo: $(if $(findstring learned,$(ARGS)),$(VENV)/.demo-learned,$(VENV)/.demo) ## an agent picks up a cube with a simulated FR3
 	@$(BIN)/roboneuron demo $(ARGS)
 
 demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim/.ready ## the same with the driver of the real arm, against franka-sim (its own environment)
@@ -119,6 +121,8 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	$(LEROBOT_PYTHON) -m venv .venv-lerobot
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
+train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
+	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
@@ -209,6 +213,11 @@ $(VENV)/.demo-fr3: $(VENV)/.demo
 	$(call install,client of the FCI,--constraint constraints.txt franky-control)
 	@touch $@
 
+$(VENV)/.demo-learned: $(VENV)/.demo
+	$(call install,PyTorch,torch==2.13.0)
+	$(call install,learned policy,--constraint constraints.txt $(addprefix --editable ,$(LEARNED_PACKAGES)))
+	@touch $@
+
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
@@ -230,3 +239,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco franky-control playwright)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-bases
+	  ros-jazzy-test-msgs transformers mujoco franky-control)
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases

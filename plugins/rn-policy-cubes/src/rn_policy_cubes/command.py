@@ -1,0 +1,117 @@
+"""The command `roboneuron cubes-policy`."""
+
+from __future__ import annotations
+
+import json
+import os
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rn_policy_cubes.packing import Packed
+    from rn_policy_cubes.recipe import Recipe
+
+DEFAULT_DIRECTORY = Path("out/train-cubes")
+
+
+class CubesPolicy:
+    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the OpenVLA-OFT layout."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron cubes-policy`."""
+        actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", help="what to do")
+        train = actions.add_parser("train", help="make demonstrations and train, or go on with it")
+        train.add_argument("--out", type=Path, default=DEFAULT_DIRECTORY, help="default: %(default)s")
+        train.add_argument("--data", type=Path, help="folder of the demonstrations; default: OUT/demonstrations")
+        train.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="NAME=VALUE",
+            help="another value of the recipe: steps=500",
+        )
+        train.add_argument("--until", type=int, metavar="STEP", help="stop there, to go on another time")
+        train.add_argument("--workers", type=int, default=1, help="processes that make demonstrations (default: 1)")
+        train.add_argument("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
+        train.add_argument("--fuse", action="store_true", help="compile the layers: half the time; needs C++")
+        pack = actions.add_parser("pack", help="write the trained weights as one small file")
+        pack.add_argument("--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training")
+        pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")
+        unpack = actions.add_parser("unpack", help="write a checkpoint that the backend oft-primary loads")
+        unpack.add_argument("directory", type=Path, help="a new or empty folder")
+        unpack.add_argument("--weights", type=Path, help="a packed file; default: the one in this package")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron cubes-policy`."""
+        match arguments.action:
+            case "train":
+                return _train(arguments)
+            case "pack":
+                return _pack(arguments)
+            case _:
+                return _unpack(arguments)
+
+
+def _train(arguments: Namespace) -> int:
+    os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
+    import torch
+
+    from rn_policy_cubes.record import record
+    from rn_policy_cubes.training import train
+
+    torch.set_num_threads(arguments.threads)
+    recipe = _recipe(arguments.set)
+    data = arguments.data or arguments.out / "demonstrations"
+    record(data, recipe.shards, workers=arguments.workers, say=print)
+    training = train(recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse)
+    print(f"step {training.step} of {recipe.steps}, state in {arguments.out}")
+    return 0
+
+
+def _recipe(settings: list[str]) -> Recipe:
+    from pydantic import ValidationError
+
+    from rn_policy_cubes.recipe import Recipe
+
+    values: dict[str, object] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set {setting} is not of the form NAME=VALUE.")
+        try:
+            values[name] = json.loads(value)
+        except ValueError:
+            values[name] = value
+    try:
+        return Recipe.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigurationError(f"--set {'.'.join(map(str, first['loc']))}: {first['msg']}.") from None
+
+
+def _pack(arguments: Namespace) -> int:
+    from rn_policy_cubes.training import pack
+
+    packed = pack(arguments.out)
+    packed.write(arguments.to)
+    print(f"{arguments.to}: {arguments.to.stat().st_size / 1e6:.2f} MB, step {packed.card.step}")
+    return 0
+
+
+def _unpack(arguments: Namespace) -> int:
+    from rn_policy_cubes.checkpoint import CONFIGURATION_FILE, unpack
+
+    unpack(_packed(arguments.weights), arguments.directory)
+    directory = arguments.directory
+    print(f"{directory}: use it with --config {directory / CONFIGURATION_FILE}")
+    return 0
+
+
+def _packed(weights: Path | None) -> Packed:
+    from rn_policy_cubes.packing import Packed
+    from rn_policy_cubes.weights import shipped_weights
+
+    return Packed.read(weights or shipped_weights())

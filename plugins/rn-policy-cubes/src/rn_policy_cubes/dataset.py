@@ -1,0 +1,173 @@
+"""Shards in memory, and the batch of a step: a function of seed and step alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rn_policy_cubes.demonstrations import COLOURS, shard_files
+from rn_policy_cubes.labels import Labels, coloured_share, label, patches_of
+from rn_policy_cubes.network import Look
+from rn_policy_cubes.recipe import PATCHES
+from rn_policy_cubes.words import Prompts
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+COLOURED = 0.10
+"""From this share of its pixels on, a patch counts as showing a cube."""
+_SLIGHTLY_COLOURED = 0.03
+_STATE_NOISE = 0.004
+_NEAR_M, _NEAR_WEIGHT = 0.10, 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class Shards:
+    """Some shards, whole.
+
+    Attributes:
+        patches: uint8 (n, 256, 588).
+        share: float32 (n, 256, colours), of each patch that shows a cube.
+        labels: of n views.
+    """
+
+    patches: U8
+    share: F32
+    labels: Labels
+
+    @classmethod
+    def load(cls, directory: Path, numbers: Sequence[int]) -> Shards:
+        """Read shards. Raises FileNotFoundError when one is not there."""
+        patches, shares, labels = [], [], []
+        for number in numbers:
+            rows, pictures = (np.load(path) for path in shard_files(directory, number))
+            patches.append(patches_of(pictures))
+            shares.append(coloured_share(patches[-1]))
+            labels.append(label(rows))
+        joined = {
+            field.name: np.concatenate([getattr(part, field.name) for part in labels]) for field in fields(Labels)
+        }
+        return cls(np.concatenate(patches), np.concatenate(shares), Labels(**joined))
+
+    def __len__(self) -> int:
+        return len(self.patches)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """What one step is given; pairs are views x colours.
+
+    Attributes:
+        look: pictures.
+        state: (views, 7).
+        ids: (views, colours, n).
+        actions: (pairs, ROWS, 7).
+        place: (pairs, 5).
+        known: (pairs,) float, 1 where `actions` count.
+        distance_m: (pairs,).
+        shows_named: (pairs, tokens) bool, the token shows the named cube.
+        shows_other: (pairs, tokens) bool, it shows another one and not the named one.
+    """
+
+    look: Look
+    state: Tensor
+    ids: Tensor
+    actions: Tensor
+    place: Tensor
+    known: Tensor
+    distance_m: Tensor
+    shows_named: Tensor
+    shows_other: Tensor
+
+    def to(self, device: torch.device) -> Batch:
+        """The same on another device."""
+        weight = None if self.look.weight is None else self.look.weight.to(device)
+        look = Look(self.look.pixels.to(device), self.look.index.to(device), weight)
+        rest = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "look"}
+        return Batch(look=look, **{name: value.to(device) for name, value in rest.items()})
+
+
+def sampling(shards: Shards) -> NDArray[np.float64]:
+    """How likely each view is drawn: those of the grasp more often."""
+    near = (np.where(shards.labels.is_target, shards.labels.distance_m, np.inf).min(axis=1) < _NEAR_M).astype(float)
+    weight = 1.0 + (_NEAR_WEIGHT - 1.0) * near
+    return np.asarray(weight / weight.sum())
+
+
+def draw(
+    shards: Shards, prompts: Prompts, weight: NDArray[np.float64], views: int, tokens: int, seed: Sequence[int]
+) -> Batch:
+    """The batch of a training step, by its seed."""
+    random = np.random.default_rng(seed)
+    chosen = random.choice(len(shards), views, p=weight)
+    ids = prompts.by_length[int(random.choice(len(prompts.by_length), p=prompts.share))]
+    sentence = random.integers(len(ids), size=(views, len(COLOURS)))
+    noise = random.normal(0.0, _STATE_NOISE, (views, shards.labels.state.shape[1]))
+    return _batch(shards, chosen, ids[sentence, np.arange(len(COLOURS))], noise, tokens, random)
+
+
+def every(shards: Shards, prompts: Prompts, views: int) -> Sequence[Batch]:
+    """All views in order, all tokens, plain sentences: for measuring."""
+    random = np.random.default_rng(0)
+    batches = []
+    for first in range(0, len(shards), views):
+        chosen = np.arange(first, min(first + views, len(shards)))
+        ids = prompts.by_length[0][np.arange(len(chosen)) % len(prompts.by_length[0])]
+        batches.append(_batch(shards, chosen, ids, np.zeros((len(chosen), 1)), PATCHES, random))
+    return batches
+
+
+def _batch(
+    shards: Shards,
+    chosen: NDArray[np.int64],
+    ids: NDArray[np.int64],
+    noise: NDArray[np.float64],
+    tokens: int,
+    random: np.random.Generator,
+) -> Batch:
+    share = shards.share[chosen]
+    index, weight = _tokens(share.sum(axis=-1), tokens, random)
+    seen = np.take_along_axis(share, index[..., None], axis=1).transpose(0, 2, 1)  # (views, colours, tokens)
+    named = seen > COLOURED
+    other = (seen.sum(axis=1, keepdims=True) - seen > COLOURED) & (seen < _SLIGHTLY_COLOURED)
+    labels = shards.labels
+    tensor = torch.from_numpy
+    return Batch(
+        look=Look(
+            pixels=tensor(shards.patches[chosen[:, None], index]),
+            index=tensor(index),
+            weight=None if weight is None else tensor(weight),
+        ),
+        state=tensor((labels.state[chosen] + noise).astype(np.float32)),
+        ids=tensor(ids),
+        actions=tensor(labels.actions[chosen]).flatten(0, 1),
+        place=tensor(labels.place[chosen]).flatten(0, 1),
+        known=tensor(labels.known[chosen].astype(np.float32)).flatten(0, 1),
+        distance_m=tensor(labels.distance_m[chosen]).flatten(0, 1),
+        shows_named=tensor(named).flatten(0, 1),
+        shows_other=tensor(other).flatten(0, 1),
+    )
+
+
+def _tokens(coloured: F32, tokens: int, random: np.random.Generator) -> tuple[NDArray[np.int64], F32 | None]:
+    """Which patches are seen, and how many each stands for.
+
+    Those with cubes are always there and stand for themselves; a random sample of the others stands for all others, so
+    that attention, which weighs keys by these numbers, is on average what it would be with all 256.
+    """
+    views = len(coloured)
+    if tokens >= PATCHES:
+        return np.broadcast_to(np.arange(PATCHES), (views, PATCHES)).copy(), None
+    salient = coloured > _SLIGHTLY_COLOURED
+    order = random.random(coloured.shape) - 2.0 * salient
+    index = np.sort(np.argpartition(order, tokens, axis=1)[:, :tokens], axis=1)
+    kept = np.take_along_axis(salient, index, axis=1)
+    others = PATCHES - salient.sum(axis=1)
+    each = others / np.maximum(1, (~kept).sum(axis=1))
+    return index, np.where(kept, 1.0, each[:, None]).astype(np.float32)

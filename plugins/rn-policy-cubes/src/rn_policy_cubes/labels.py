@@ -1,0 +1,100 @@
+"""From a recorded row to what the network is given and what it is to answer, for every colour that might be named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_policy_cubes.demonstrations import COLOURS, situations
+from rn_policy_cubes.recipe import (
+    ACTION_SCALE,
+    ACTION_WIDTH,
+    GRID,
+    PATCH_PX,
+    PATCH_VALUES,
+    PATCHES,
+    ROWS,
+    STATE_HIGH,
+    STATE_LOW,
+)
+from rn_policy_cubes.teacher import chunks
+from rn_vla.rotation import rpy_by_down
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+PLACE_SCALE = 5.0
+"""Places relative to the TCP are told in units of 1 / PLACE_SCALE metres."""
+PLACE_WIDTH = 5
+_LOW, _HIGH = np.array(STATE_LOW), np.array(STATE_HIGH)
+_PIXELS_PER_PATCH = PATCH_PX * PATCH_PX
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Of n views and their c colours.
+
+    Attributes:
+        state: float32 (n, 7), normalised.
+        actions: float32 (n, c, ROWS, 7), normalised.
+        place: float32 (n, c, 5), cube relative to the TCP, scaled, and sine and cosine of four times the turn to it.
+        known: bool (n, c), False where the teacher has no sensible answer: the gripper is busy with another cube.
+        distance_m: float32 (n, c), between TCP and cube.
+        is_target: bool (n, c), the cube that the demonstration picked.
+    """
+
+    state: F32
+    actions: F32
+    place: F32
+    known: NDArray[np.bool_]
+    distance_m: F32
+    is_target: NDArray[np.bool_]
+
+
+def state_of(row: np.void) -> F32:
+    """The state as rn-backend-oft normalises it, float32 (7,)."""
+    rotation = row["rotation"].astype(np.float64)
+    values = np.concatenate([row["tcp_m"], rpy_by_down(rotation), [row["opening"]]])
+    scaled = np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0)
+    return np.asarray(scaled, dtype=np.float32)
+
+
+def label(rows: NDArray[np.void]) -> Labels:
+    """What the teacher says of every row."""
+    count, colours = len(rows), len(COLOURS)
+    actions = np.empty((count, colours, ROWS, ACTION_WIDTH), dtype=np.float32)
+    place = np.empty((count, colours, PLACE_WIDTH), dtype=np.float32)
+    distance = np.empty((count, colours), dtype=np.float32)
+    for cube in range(colours):
+        now = situations(rows, cube)
+        turn = 4 * now.turn_rad
+        distance[:, cube] = np.linalg.norm(now.to_cube_m, axis=1)
+        place[:, cube] = np.column_stack([now.to_cube_m * PLACE_SCALE, np.sin(turn), np.cos(turn)])
+        actions[:, cube] = chunks(now, ROWS)
+    is_target = rows["target"][:, None] == np.arange(colours)
+    is_busy = (rows["opening"] < 0.9) & (distance[is_target] < 0.03)
+    known = is_target | ~is_busy[:, None]
+    state = np.stack([state_of(row) for row in rows])
+    actions[..., :6] /= np.array(ACTION_SCALE, dtype=np.float32)
+    return Labels(state, actions, place, known, distance, is_target)
+
+
+def patches_of(pictures: U8) -> U8:
+    """Pictures (n, 224, 224, 3) -> patches (n, 256, 588), channel first, as a vision tower cuts them."""
+    cut = pictures.reshape(-1, GRID, PATCH_PX, GRID, PATCH_PX, 3).transpose(0, 1, 3, 5, 2, 4)
+    return np.ascontiguousarray(cut).reshape(-1, PATCHES, PATCH_VALUES)
+
+
+def coloured_share(patches: U8) -> F32:
+    """Patches (n, 256, 588) -> share of each that is a cube's, by colour; float32 (n, 256, c)."""
+    values = patches.reshape(*patches.shape[:2], 3, _PIXELS_PER_PATCH).astype(np.int16)
+    red, green, blue = values[:, :, 0], values[:, :, 1], values[:, :, 2]
+    masks = {
+        "red": (red > green + 50) & (red > blue + 50) & (green < red // 2),
+        "green": (green > red + 40) & (green > blue + 30),
+        "blue": (blue > red + 50) & (blue > green + 30),
+        "yellow": (red > blue + 70) & (green > blue + 50) & (green > red // 2),
+    }
+    return np.stack([masks[colour].mean(axis=-1, dtype=np.float32) for colour in COLOURS], axis=-1)

@@ -1,0 +1,87 @@
+"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed loop is worth trying."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+
+from rn_policy_cubes.dataset import Shards, every
+from rn_policy_cubes.demonstrations import COLOURS
+from rn_policy_cubes.labels import PLACE_SCALE
+from rn_policy_cubes.losses import Helpers, losses
+from rn_policy_cubes.network import CubesNetwork
+from rn_policy_cubes.recipe import MOVE_SCALE_M
+from rn_policy_cubes.words import Prompts
+
+_VIEWS = 8
+_NEAR_M = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Of all held-out views, with each colour named.
+
+    Attributes:
+        pointing: balanced accuracy of the pointing helper after the second layer.
+        named_nearest: share of pairs in which the told place is nearest to the named cube.
+        place_mm: median distance between told and true place; `place_near_mm` within 6 cm of the TCP.
+        action_mm: mean absolute error of a move, per axis; `action_near_mm` likewise near the cube.
+        grip: share of actions with the right opening; `grip_near` near the cube.
+    """
+
+    pointing: float
+    named_nearest: float
+    place_mm: float
+    place_near_mm: float
+    action_mm: float
+    action_near_mm: float
+    grip: float
+    grip_near: float
+
+    def as_dict(self) -> dict[str, float]:
+        """For the curve."""
+        return {f"held_out_{name}": value for name, value in asdict(self).items()}
+
+
+@torch.no_grad()
+def measure(network: CubesNetwork, helpers: Helpers, shards: Shards, prompts: Prompts, device: torch.device) -> Figures:
+    """The figures of a network."""
+    told, true, move, grip, known, distance, pointing = [], [], [], [], [], [], []
+    for batch in every(shards, prompts, _VIEWS):
+        batch = batch.to(device)
+        with torch.autocast(device.type, torch.bfloat16):
+            thought = network(batch.look, batch.state, batch.ids, torch.bfloat16)
+        result = losses(thought, helpers, batch)
+        pointing.append(float(result.accuracy))
+        told.append(result.told[:, :3].cpu().numpy() / PLACE_SCALE)
+        true.append(batch.place[:, :3].cpu().numpy() / PLACE_SCALE)
+        error = (thought.actions.float() - batch.actions).abs()
+        move.append(error[..., :3].mean(dim=(1, 2)).cpu().numpy() * MOVE_SCALE_M)
+        said = thought.actions[..., 6].float() > 0.5
+        grip.append((said == (batch.actions[..., 6] > 0.5)).float().mean(dim=1).cpu().numpy())
+        known.append(batch.known.cpu().numpy() > 0.5)
+        distance.append(batch.distance_m.cpu().numpy())
+    ok, far = np.concatenate(known), np.concatenate(distance)
+    near = ok & (far < _NEAR_M)
+    places, places_told = np.concatenate(true), np.concatenate(told)
+    error_m = np.linalg.norm(places - places_told, axis=-1)
+    cubes = places.reshape(-1, 1, len(COLOURS), 3)
+    gaps = np.linalg.norm(cubes - places_told.reshape(-1, len(COLOURS), 1, 3), axis=-1)
+    moves, grips = np.concatenate(move), np.concatenate(grip)
+    return Figures(
+        pointing=float(np.mean(pointing)),
+        named_nearest=float((gaps.argmin(axis=-1) == np.arange(len(COLOURS))).mean()),
+        place_mm=float(np.median(error_m) * 1e3),
+        place_near_mm=_mean(np.median, error_m[near]) * 1e3,
+        action_mm=float(moves[ok].mean() * 1e3),
+        action_near_mm=_mean(np.mean, moves[near]) * 1e3,
+        grip=float(grips[ok].mean()),
+        grip_near=_mean(np.mean, grips[near]),
+    )
+
+
+def _mean(function: object, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+    """Of no values: not a number."""
+    return float(function(values)) if len(values) else float("nan")  # type: ignore[operator]

@@ -1,0 +1,69 @@
+"""Sizes, scales and settings of the policy and its training: one place, kept with the weights."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Size = Annotated[int, Field(ge=1)]
+ROWS = 5
+"""Actions of a chunk: `constants = "bridge"` of the backend."""
+ACTION_WIDTH = 7
+PLACEHOLDERS = ROWS * ACTION_WIDTH
+STATE_WIDTH = 7
+PATCH_PX, GRID = 14, 16
+PATCHES = GRID * GRID
+PATCH_VALUES = 3 * PATCH_PX * PATCH_PX
+VOCABULARY, PADDING = 32064, 64
+MOVE_SCALE_M, TILT_SCALE_RAD, TURN_SCALE_RAD = 0.03, 0.05, 0.20
+"""What 1.0 means in a normalised action: moves, turns about x and y, turns about z."""
+ACTION_SCALE = (MOVE_SCALE_M,) * 3 + (TILT_SCALE_RAD,) * 2 + (TURN_SCALE_RAD,)
+STATE_LOW = (0.25, -0.35, 0.0, -0.3, -0.3, -1.6, 0.0)
+STATE_HIGH = (0.70, 0.35, 0.50, 0.3, 0.3, 1.6, 1.0)
+"""Range of the state: TCP position [m], roll, pitch, yaw against a gripper pointing down [rad], opening."""
+
+
+class Shape(BaseModel):
+    """Sizes of the network."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    vision_width: Size = 64
+    """Width of each of the two vision towers."""
+    vision_depth: Annotated[int, Field(ge=2)] = 2
+    """Blocks of a tower on disk; the last one is never run."""
+    vision_heads: Size = 2
+    hidden: Size = 96
+    """Width of the language model."""
+    intermediate: Size = 192
+    layers: Annotated[int, Field(ge=2)] = 4
+    heads: Size = 3
+    rope_theta: float = 1e8
+    """Large: most dimensions hardly turn over a few hundred positions, so that content is found wherever it stands."""
+
+
+class Recipe(BaseModel):
+    """How the policy is trained. Two runs of one recipe over the same shards are equal, bit for bit, on one machine."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    shape: Shape = Shape()
+    seed: int = 0
+    shards: Annotated[int, Field(ge=2)] = 80
+    """Shards of demonstrations; the last `held_out` of them are for measuring."""
+    held_out: Size = 1
+    steps: Size = 12_000
+    """Optimiser steps in all."""
+    cool_down: Annotated[float, Field(ge=0, le=1)] = 0.3
+    """Share of the steps, at the end, over which the rate falls to nothing."""
+    warm_up: Size = 100
+    rate: float = 2e-3
+    views: Size = 32
+    """Views of a step; each gives one training pair for every colour."""
+    tokens: Size = 24
+    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for the others."""
+    full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
+    """Share of the steps after which all visual tokens are seen."""
+    full_views: Size = 8
+    """Views of a step from then on."""

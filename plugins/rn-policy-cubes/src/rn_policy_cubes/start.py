@@ -1,0 +1,72 @@
+"""The network before training: filters from the pictures, positions that mean something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rn_policy_cubes.dataset import COLOURED, Shards
+from rn_policy_cubes.network import PIXELS, CubesNetwork, VisionTower
+from rn_policy_cubes.recipe import GRID, PATCH_VALUES, Shape
+
+_POSITION_SHARE = 4
+"""One channel in so many of a tower is for the position."""
+_SAMPLE = 20_000
+_SIZE = 0.7
+
+
+def new_network(shape: Shape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
+    """A network whose patch filters are the principal components of patches with cubes.
+
+    Three quarters of a tower's channels begin as such filters, the components shared out between the towers; the rest
+    begins as smooth functions of the patch's place in the picture. Everything is trained afterwards.
+    """
+    torch.manual_seed(seed)
+    network = CubesNetwork(shape, ids)
+    coloured = np.argwhere(shards.share.sum(axis=-1) > COLOURED)
+    random = np.random.default_rng([seed, 1])
+    sample = coloured[random.permutation(len(coloured))[:_SAMPLE]]
+    values = torch.from_numpy(shards.patches[sample[:, 0], sample[:, 1]]).float() / 255
+    for number, tower in enumerate(network.towers):
+        assert isinstance(tower, VisionTower)
+        _set_filters(tower, number, values)
+        _set_positions(tower, number, random)
+    return network
+
+
+@torch.no_grad()
+def _set_filters(tower: VisionTower, number: int, values: Tensor) -> None:
+    mean, spread = (torch.tensor(v).repeat_interleave(PATCH_VALUES // 3) for v in PIXELS[number])
+    normalised = (values - mean) / spread
+    centre = normalised.mean(dim=0)
+    width = tower.patch.out_features
+    filters = min(width - width // _POSITION_SHARE, len(values) // 2)
+    _, strength, components = torch.linalg.svd(normalised - centre, full_matrices=False)
+    chosen = slice(number, 2 * filters, 2)  # even ones to one tower, odd ones to the other
+    scale = _SIZE * len(values) ** 0.5 / strength[chosen, None].clamp(min=1e-3 * float(strength[0]))
+    weight = components[chosen] * scale
+    tower.patch.weight.zero_()
+    tower.patch.bias.zero_()
+    tower.patch.weight[: len(weight)] = weight
+    tower.patch.bias[: len(weight)] = -weight @ centre
+
+
+@torch.no_grad()
+def _set_positions(tower: VisionTower, number: int, random: np.random.Generator) -> None:
+    width = tower.pos_embed.shape[-1]
+    across = torch.linspace(-1, 1, GRID).repeat(GRID)
+    down = torch.linspace(-1, 1, GRID).repeat_interleave(GRID)
+    functions = [across, down, across * down, across**2 - 0.35, down**2 - 0.35]
+    for waves in range(1, width):
+        functions += [torch.sin(waves * 1.5 * across), torch.cos(waves * 1.5 * across)]
+        functions += [torch.sin(waves * 1.5 * down), torch.cos(waves * 1.5 * down)]
+    count = width // _POSITION_SHARE
+    places = torch.stack(functions[:count], dim=-1)
+    if number:  # the other tower gets mixtures of more of them
+        more = torch.stack(functions[: 2 * count], dim=-1)
+        mix = torch.from_numpy(random.normal(size=(2 * count, count)) / (2 * count) ** 0.5).float()
+        places = more @ mix * 1.5
+    tower.pos_embed[0, :, width - count :] = places

@@ -1,0 +1,233 @@
+"""The training loop: any number of interruptions, the same result."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from rn_policy_cubes.dataset import Batch, Shards, draw, sampling
+from rn_policy_cubes.losses import Helpers, losses
+from rn_policy_cubes.measure import measure
+from rn_policy_cubes.network import CubesNetwork
+from rn_policy_cubes.packing import Card, Packed
+from rn_policy_cubes.recipe import PATCHES, Recipe
+from rn_policy_cubes.start import new_network
+from rn_policy_cubes.words import Prompts, read_prompts, write_tokenizer
+from roboneuron import ConfigurationError
+
+STATE_FILE, CURVE_FILE = "training.pt", "curve.jsonl"
+_BETAS, _DECAY, _CLIP = (0.9, 0.98), 0.01, 1.0
+_AVERAGE = 0.995
+Say = Callable[[str], None]
+
+
+@dataclass
+class Training:
+    """Everything that a step changes.
+
+    Attributes:
+        recipe: what is being done.
+        network, helpers: as trained.
+        average: moving average of the network's weights, which is what is exported.
+        average_helpers: likewise.
+        step: steps done.
+        cpu_s: CPU time of all steps.
+    """
+
+    recipe: Recipe
+    network: CubesNetwork
+    helpers: Helpers
+    average: CubesNetwork
+    average_helpers: Helpers
+    optimiser: torch.optim.Optimizer
+    step: int = 0
+    cpu_s: float = 0.0
+
+    @classmethod
+    def begin(cls, recipe: Recipe, prompts: Prompts, shards: Shards | None, device: torch.device) -> Training:
+        """A new one; without shards the weights are not set up, for `read`."""
+        if shards is None:
+            network = CubesNetwork(recipe.shape, prompts.in_use)
+        else:
+            network = new_network(recipe.shape, prompts.in_use, shards, recipe.seed)
+        network, helpers = network.to(device), Helpers(recipe.shape).to(device)
+        parameters = [*network.parameters(), *helpers.parameters()]
+        optimiser = torch.optim.AdamW(parameters, recipe.rate, betas=_BETAS, weight_decay=_DECAY)
+        return cls(recipe, network, helpers, copy.deepcopy(network), copy.deepcopy(helpers), optimiser)
+
+    @classmethod
+    def read(cls, path: Path, recipe: Recipe, prompts: Prompts, device: torch.device) -> Training:
+        """Go on with what `write` left. The recipe may have another length, not another shape."""
+        training = cls.begin(recipe, prompts, None, device)
+        saved = torch.load(path, map_location=device, weights_only=True)
+        for name in ("network", "helpers", "average", "average_helpers", "optimiser"):
+            getattr(training, name).load_state_dict(saved[name])
+        training.step, training.cpu_s = saved["step"], saved["cpu_s"]
+        return training
+
+    def write(self, path: Path) -> None:
+        """Save everything; what was there is replaced at once or not at all."""
+        state: dict[str, Any] = {"step": self.step, "cpu_s": self.cpu_s, "recipe": self.recipe.model_dump(mode="json")}
+        for name in ("network", "helpers", "average", "average_helpers", "optimiser"):
+            state[name] = getattr(self, name).state_dict()
+        unfinished = path.with_suffix(".part")
+        torch.save(state, unfinished)
+        unfinished.rename(path)
+
+    def rate(self) -> float:
+        """Learning rate of the next step: up, level, down."""
+        recipe = self.recipe
+        falling = max(1.0, recipe.steps * recipe.cool_down)
+        left = (recipe.steps - self.step) / falling
+        return recipe.rate * min(1.0, (self.step + 1) / recipe.warm_up, max(left, 0.0))
+
+    def is_full(self) -> bool:
+        """Whether all visual tokens are seen."""
+        return self.step >= self.recipe.full_from * self.recipe.steps or self.recipe.tokens >= PATCHES
+
+    def draw(self, shards: Shards, prompts: Prompts, weight: Any) -> Batch:
+        """The batch of the next step."""
+        recipe, full = self.recipe, self.is_full()
+        views, tokens = (recipe.full_views, PATCHES) if full else (recipe.views, recipe.tokens)
+        return draw(shards, prompts, weight, views, tokens, [recipe.seed, self.step])
+
+    def advance(self, batch: Batch) -> dict[str, float]:
+        """One step; returns its losses."""
+        begun = time.process_time()
+        rate = self.rate()
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        with half_precision(batch.state.device):
+            thought = self.network(batch.look, batch.state, batch.ids, torch.bfloat16)
+        result = losses(thought, self.helpers, batch)
+        result.total.backward()  # type: ignore[no-untyped-call]
+        parameters = [*self.network.parameters(), *self.helpers.parameters()]
+        nn.utils.clip_grad_norm_(parameters, _CLIP)
+        self.optimiser.step()
+        self.optimiser.zero_grad()
+        self.step += 1
+        keep = min(_AVERAGE, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            averaged: list[Tensor] = [*self.average.parameters(), *self.average_helpers.parameters()]
+            torch._foreach_lerp_(averaged, list[Tensor](parameters), 1.0 - keep)
+        self.cpu_s += time.process_time() - begun
+        return {**result.numbers(), "rate": rate}
+
+
+def half_precision(device: torch.device) -> contextlib.AbstractContextManager[Any]:
+    """bfloat16 for matrix products; weights stay float32."""
+    return torch.autocast(device.type, torch.bfloat16)
+
+
+def train(
+    recipe: Recipe,
+    directory: Path,
+    data: Path,
+    *,
+    until: int | None = None,
+    say: Say = print,
+    log_every: int = 50,
+    save_every_s: float = 120.0,
+    measure_every: int = 1000,
+    fuse: bool = False,
+) -> Training:
+    """Train until step `until` (default: the recipe's last), going on from what `directory` holds.
+
+    Args:
+        recipe: what to do.
+        directory: of state, curve and tokenizer.
+        data: of the shards.
+        until: stop there, to go on another time.
+        say: gets one line for each entry of the curve.
+        log_every, measure_every: steps between entries, and between measurements on held-out views.
+        save_every_s: time between two saved states.
+        fuse: compile the layers first (a C++ compiler is needed); a CPU then needs half of the time.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    tokenizer = directory / "tokenizer.json"
+    write_tokenizer(tokenizer)
+    prompts = read_prompts(tokenizer)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    seen = recipe.shards - recipe.held_out
+    shards, held_out = Shards.load(data, range(seen)), Shards.load(data, range(seen, recipe.shards))
+    state = directory / STATE_FILE
+    if state.exists():
+        training = Training.read(state, recipe, prompts, device)
+    else:
+        training = Training.begin(recipe, prompts, shards, device)
+    if fuse:
+        for layer in training.network.layers:
+            layer.compile(dynamic=False)
+    weight, last = sampling(shards), recipe.steps if until is None else min(until, recipe.steps)
+    curve = _Curve(directory / CURVE_FILE, say)
+    saved_s = time.monotonic()
+    while training.step < last:
+        batch = training.draw(shards, prompts, weight).to(device)
+        curve.add(training.advance(batch))
+        if training.step % log_every == 0 or training.step == last:
+            curve.flush(training)
+        if training.step % measure_every == 0 or training.step == last:
+            figures = measure(training.average, training.average_helpers, held_out, prompts, device)
+            curve.note(training, figures.as_dict())
+        if time.monotonic() - saved_s > save_every_s or training.step == last:
+            training.write(state)
+            saved_s = time.monotonic()
+    return training
+
+
+def pack(directory: Path) -> Packed:
+    """The averaged weights of a training, with the newest figures of its curve.
+
+    Raises:
+        ConfigurationError: there is no training in the folder.
+    """
+    state = directory / STATE_FILE
+    if not state.exists():
+        raise ConfigurationError(f"{directory} holds no training.", hint="Begin one: roboneuron cubes-policy train")
+    saved = torch.load(state, map_location="cpu", weights_only=True)
+    recipe = Recipe.model_validate(saved["recipe"])
+    prompts = read_prompts(directory / "tokenizer.json")
+    training = Training.read(state, recipe, prompts, torch.device("cpu"))
+    lines = [json.loads(line) for line in (directory / CURVE_FILE).read_text(encoding="utf-8").splitlines()]
+    figures: dict[str, float] = {}
+    for line in lines:
+        figures |= {name: value for name, value in line.items() if name.startswith("held_out_")}
+    return Packed.of(training.average, Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures))
+
+
+class _Curve:
+    """Losses by step, averaged between two lines of the file."""
+
+    def __init__(self, path: Path, say: Say) -> None:
+        self._path, self._say = path, say
+        self._sums: dict[str, float] = {}
+        self._count = 0
+
+    def add(self, numbers: dict[str, float]) -> None:
+        """The losses of one step."""
+        for name, value in numbers.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._count += 1
+
+    def flush(self, training: Training) -> None:
+        """Write the mean of what was added."""
+        self.note(training, {name: value / self._count for name, value in self._sums.items()})
+        self._sums, self._count = {}, 0
+
+    def note(self, training: Training, numbers: dict[str, float]) -> None:
+        """One line."""
+        rounded = {name: value if math.isnan(value) else round(value, 5) for name, value in numbers.items()}
+        line = {"step": training.step, "cpu_s": round(training.cpu_s, 1), **rounded}
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        self._say(json.dumps(line))

@@ -1,0 +1,132 @@
+"""Shards repeat, their labels are the teacher's, and the teacher lifts cubes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rn_controller_urdf.controller import UrdfController
+from rn_policy_cubes.dataset import Shards, draw, every, sampling
+from rn_policy_cubes.demonstrations import COLOURS, ROW, shard_files, situations, write_shard
+from rn_policy_cubes.labels import PLACE_SCALE, coloured_share, label, patches_of, state_of
+from rn_policy_cubes.recipe import ACTION_SCALE, PATCHES, ROWS
+from rn_policy_cubes.teacher import STEP_S, Situations, chunks, tilt_of, yaw_of
+from rn_policy_cubes.words import Prompts
+from rn_robot_fr3.profile import profile
+from rn_robot_fr3.scene import RGBA_BY_COLOUR
+from rn_robot_fr3.simulation import JOINTS, Simulation
+from roboneuron import Action, Hold, JointSample, matrix_from_quaternion
+
+
+def test_a_shard_repeats_bit_for_bit(shards: Path, tmp_path: Path) -> None:
+    write_shard(tmp_path, 1, len(np.load(shard_files(shards, 1)[0])))
+    for made, again in zip(shard_files(shards, 1), shard_files(tmp_path, 1), strict=True):
+        assert made.read_bytes() == again.read_bytes()
+
+
+def test_different_shards_are_of_different_scenes(shards: Path) -> None:
+    seeds = [set(np.load(shard_files(shards, number)[0])["seed"]) for number in range(2)]
+    assert not seeds[0] & seeds[1]
+    assert min(seeds[0] | seeds[1]) >= 1_000_000
+
+
+def test_pictures_show_the_cubes_where_the_rows_say(shards: Path) -> None:
+    from rn_robot_fr3.cameras import cameras
+
+    rows, pictures = (np.load(path) for path in shard_files(shards, 0))
+    calibration = next(camera for camera in cameras() if camera.name == "front").calibration(224, 224)
+    share = coloured_share(patches_of(pictures))
+    hits = 0
+    for row, view in zip(rows, share, strict=True):
+        for cube in range(len(COLOURS)):
+            eye = np.linalg.inv(calibration.T_mount_camera) @ [*row["cube_m"][cube], 1.0]
+            u, v, depth = calibration.intrinsics @ eye[:3]
+            patch = int(v / depth // 14) * 16 + int(u / depth // 14)
+            hits += view[patch, cube] > 0.05
+    assert hits > 0.8 * rows.size * len(COLOURS)  # the arm hides some
+
+
+def test_patches_are_cut_as_a_vision_tower_cuts_them() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (1, 224, 224, 3), dtype=np.uint8)
+    patches = patches_of(picture)
+    assert patches.shape == (1, PATCHES, 588)
+    expected = picture[0, 14 * 3 : 14 * 4, 14 * 5 : 14 * 6].transpose(2, 0, 1)
+    assert (patches[0, 3 * 16 + 5].reshape(3, 14, 14) == expected).all()
+
+
+def test_the_colours_of_the_simulator_are_told_apart() -> None:
+    for index, colour in enumerate(COLOURS):
+        for shade in (0.55, 1.0):
+            pixel = (np.array(RGBA_BY_COLOUR[colour][:3]) * 255 * shade).astype(np.uint8)
+            patch = np.repeat(pixel, 196)[None, None]
+            assert coloured_share(patch)[0, 0].tolist() == [float(other == index) for other in range(len(COLOURS))]
+
+
+def test_labels_have_the_shapes_of_the_layout_and_are_the_teachers(shards: Path) -> None:
+    rows = np.load(shard_files(shards, 0)[0])
+    labels = label(rows)
+    assert labels.state.shape == (len(rows), 7)
+    assert labels.actions.shape == (len(rows), len(COLOURS), ROWS, 7)
+    told = chunks(situations(rows, 2), ROWS)
+    assert np.allclose(labels.actions[:, 2, :, :6] * ACTION_SCALE, told[..., :6], atol=1e-6)
+    assert np.allclose(labels.place[:, 2, :3] / PLACE_SCALE, rows["cube_m"][:, 2] - rows["tcp_m"], atol=1e-6)
+    assert (np.abs(labels.state) <= 1).all()
+    assert np.array_equal(state_of(rows[3]), labels.state[3])
+
+
+def test_a_held_cube_leaves_no_answer_for_the_others() -> None:
+    rows = np.zeros(1, dtype=ROW)
+    rows["rotation"] = np.diag([1.0, -1.0, -1.0])
+    rows["cube_m"] = [[0.5, 0.2, 0.02], [0.5, 0.0, 0.02], [0.6, 0.1, 0.02], [0.4, 0.1, 0.02]]
+    rows["tcp_m"], rows["edge_m"], rows["opening"], rows["target"] = rows["cube_m"][:, 1], 0.044, 0.55, 1
+    assert label(rows).known.tolist() == [[False, True, False, False]]
+    rows["opening"] = 1.0
+    assert label(rows).known.all()
+
+
+def test_a_batch_keeps_every_cube_and_weighs_the_rest(shards: Path, prompts: Prompts) -> None:
+    loaded = Shards.load(shards, [0])
+    batch = draw(loaded, prompts, sampling(loaded), 5, 24, [0, 3])
+    assert batch.look.weight is not None
+    assert batch.look.weight.sum(dim=1).numpy() == pytest.approx(PATCHES)
+    assert (batch.look.index.diff(dim=1) > 0).all()
+    whole = every(loaded, prompts, 8)[0]
+    assert whole.look.weight is None
+    assert whole.look.index.shape == (8, PATCHES)
+    assert int(batch.shows_named.sum()) > 0
+    again = draw(loaded, prompts, sampling(loaded), 5, 24, [0, 3])
+    assert (again.look.pixels == batch.look.pixels).all()
+    assert (again.state == batch.state).all()
+
+
+def _now(simulation: Simulation, target: str, error_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Situations:
+    cube, pose = simulation.cubes()[target], simulation.tcp_pose()
+    rotation = matrix_from_quaternion(pose.quaternion_xyzw)
+    held = np.linalg.norm(cube.position_m - pose.position_m) < 0.03 and simulation.gripper_open() < 0.8
+    return Situations(
+        tcp_m=pose.position_m[None],
+        yaw_rad=np.array([np.arctan2(rotation[1, 0], rotation[0, 0])]),
+        tilt_rad=tilt_of(rotation[None]),
+        opening=np.array([simulation.gripper_open()]),
+        cube_m=(cube.position_m + (0.0 if held else error_m))[None],
+        cube_yaw_rad=np.array([yaw_of(matrix_from_quaternion(cube.quaternion_xyzw)) + 0.25]),
+        edge_m=np.array([cube.edge_m]),
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_teacher_lifts_a_cube_although_it_sees_it_beside_and_turned(seed: int) -> None:
+    controller = UrdfController(None, profile())
+    controller.load()
+    target = COLOURS[seed]
+    with Simulation(seed) as simulation:
+        while simulation.time_s < 15.0 and simulation.cubes()[target].held_s < 1.0:
+            for action in chunks(_now(simulation, target, np.array([0.006, -0.006, 0.0])), ROWS)[0]:
+                joints = JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=0)
+                command = controller.compute(Action.from_vector(action), joints, STEP_S)
+                assert not isinstance(command, Hold)
+                simulation.set_target(command.names, command.position, command.duration_s)
+                simulation.step(24)
+        assert simulation.cubes()[target].held_s >= 1.0
