@@ -3,8 +3,8 @@
 Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port: "{}" asks
 for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a motion with that
 flag. With --record FILE, each physics step appends 15 float64 to it: monotonic time [s], joints [rad] and their
-velocities [rad/s]; {"flush": 1} writes what is buffered. Facts about franka-sim: its version 1.1.7,
-`franka_sim.mujoco_franka_sim`.
+velocities [rad/s], and each command its time to FILE.commands; {"flush": 1} writes what is buffered. Facts about
+franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`.
 """
 
 # mypy: ignore-errors
@@ -79,6 +79,7 @@ class SceneSim(backend.MujocoFrankaSim):
     def __init__(self, scene, record=None):
         super().__init__(enable_hand=True)
         self.record = record and open(record, "wb")  # noqa: SIM115 - written to the end
+        self.commands = record and open(record + ".commands", "wb")  # noqa: SIM115
         self.scene = scene
         self.truth = {}
         self.keep_mode = lambda: None
@@ -95,6 +96,12 @@ class SceneSim(backend.MujocoFrankaSim):
         speed = self.data.qvel[self.finger_dofs_idx[0]] - self.data.qvel[self.finger_dofs_idx[1]]
         keep = 4000.0 * apart + 60.0 * speed
         return force + np.array([-keep, keep])
+
+    def update_joint_positions(self, positions):
+        """As the parent's; called when a command of a joint position motion has come."""
+        super().update_joint_positions(positions)
+        if self.commands:
+            self.commands.write(np.array([time.monotonic()]).tobytes())
 
     def _read_and_publish_state(self):
         super()._read_and_publish_state()
@@ -136,6 +143,7 @@ def tell(sim, server, address):
             server._abort_with_error(int(asked["error"]), "told to stop")
         if "flush" in asked and sim.record:
             sim.record.flush()
+            sim.commands.flush()
         listener.sendto(json.dumps(sim.truth).encode(), sender)
 
 
