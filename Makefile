@@ -30,7 +30,7 @@ WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remot
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
 
-.PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
+.PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile) help demo demo-fr3 demo-bases eval-demo test-fr3 bench-fci bench-fci-loop test test-units test-ros test-all test-pythons check format bench soak bench-vla interop interop-sglang docs clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -43,13 +43,18 @@ demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim/.ready ## the same with the driver of t
 	@$(BIN)/python examples/demo_fr3.py $(ARGS)
 
 test-fr3: $(VENV)/.develop .venv-fr3sim/.ready ## the driver of the real arm against franka-sim
-	$(BIN)/python -m pytest plugins/rn-robot-fr3/tests/test_fci_driver_moves_franka_sim.py $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-robot-fr3/tests/test_fci_driver_moves_franka_sim.py \
+	  tests/safety/test_fci_arm_stops_when_something_is_lost.py $(ARGS)
 
 test-view: $(VENV)/.develop ## the live view in a headless Chromium (Debian: apt-get install chromium)
 	$(BIN)/python -m pytest plugins/rn-view/tests $(ARGS)
 
 bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
 	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
+
+bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions, emergency stops: --minutes 30 --actions 10000
+	$(BIN)/python benchmarks/bench_fci_stops.py
+	$(BIN)/python benchmarks/bench_fci_loop.py $(ARGS)
 
 .venv-fr3sim: .venv-fr3sim/.ready
 
@@ -58,6 +63,7 @@ bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load o
 	$(PYTHON) -m venv .venv-fr3sim
 	.venv-fr3sim/bin/python -m pip install --quiet --disable-pip-version-check franka-sim==1.1.7 numpy==1.26.4
 	@touch $@
+
 eval-demo: $(VENV)/.develop ## the servo policy on 200 seeds, then by execution mode and latency: ledger, table, report
 	@echo "No learned policy is in the repository: this measures the classical policy 'servo', which has no pruning presets."
 	$(BIN)/roboneuron eval run --backend servo --episodes 200 --seed 10000 --workers $(JOBS) --out out/eval/servo $(ARGS)

@@ -20,9 +20,11 @@ from roboneuron import (
     InvalidInputError,
     JointCommand,
     NotReadyError,
+    RefusedError,
     StateError,
     UnsafeError,
 )
+from roboneuron.contract import RecoverableDriver
 
 BLOCKED = {"path_tolerance": 0.02, "goal_tolerance": 0.02, "goal_time_tolerance_s": 0.2}
 
@@ -50,12 +52,29 @@ def test_a_blocked_arm_is_a_fault_that_stays(rig, mode):
     driver.send(command())
     wait_until(lambda: "path tolerance violated" in fault(driver))
     rig.link.controller.blocked = False
-    with pytest.raises(UnsafeError, match=r"path tolerance violated.*Stop and start the robot"):
+    with pytest.raises(UnsafeError, match=r"path tolerance violated.*recover_robot"):
         driver.send(command())
-    driver.recover()
+    assert "path tolerance violated" in driver.recover()
+    with pytest.raises(StateError, match="no fault"):
+        driver.recover()
     driver.send(command())
     wait_until(lambda: abs(driver.read().joints.position[6] - HOME_RAD[6] - 0.1) < 0.005)
     assert fault(driver) == ""
+
+
+def test_a_fault_is_not_forgotten_while_the_controller_is_not_active(rig):
+    driver = rig.driver(mode="action", **BLOCKED)
+    assert isinstance(driver, RecoverableDriver)
+    driver.send(command())
+    rig.link.controller.active = False
+    rig.link.end_from_outside(End.ABORTED, "deactivated")
+    wait_until(lambda: driver.read().detail["controller"] == "inactive")
+    with pytest.raises(RefusedError, match="switch_controllers --activate"):
+        driver.recover()
+    assert "aborted" in fault(driver)
+    rig.link.controller.active = True
+    wait_until(lambda: driver.read().detail["controller"] == "active")
+    assert "aborted" in driver.recover()
 
 
 def test_in_mode_topic_a_violated_path_makes_the_driver_hold(rig):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from pydantic import ValidationError
 
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.driver import FciDriver
@@ -78,3 +79,9 @@ def test_nobody_at_the_address_is_said_at_once() -> None:
     with pytest.raises(NotReadyError, match=r"Nobody answers at 127\.99\.0\.1"):
         driver.open()
     driver.close()
+
+
+def test_motions_leave_a_stop_the_acceleration_to_replace_them() -> None:
+    assert FciDriverOptions(host="10.0.0.1", dynamics_factor=0.5).dynamics_factor == 0.5
+    with pytest.raises(ValidationError, match="less than or equal to"):
+        FciDriverOptions(host="10.0.0.1", dynamics_factor=0.6)

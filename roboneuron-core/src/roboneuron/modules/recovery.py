@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from roboneuron.contract import RecoverableDriver
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import PluginError, RoboNeuronError
 from roboneuron.modules.module import ModuleNode
 from roboneuron.modules.settings import RECOVER_PARAMETER
+
+log = logging.getLogger(__name__)
 
 
 class Recovery:
@@ -20,18 +22,10 @@ class Recovery:
         self._status = node.status
         self._driver = driver
         self._busy = threading.Lock()
-        node.add_on_set_parameters_callback(self._check)
-        node.resources.callback(node.remove_on_set_parameters_callback, self._check)
         node.add_post_set_parameters_callback(self._take)
         node.resources.callback(node.remove_post_set_parameters_callback, self._take)
         node.declare_parameter(RECOVER_PARAMETER, 0)
         node.resources.callback(node.undeclare_parameter, RECOVER_PARAMETER)
-
-    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == RECOVER_PARAMETER and parameter.type_ is not Parameter.Type.INTEGER:
-                return SetParametersResult(successful=False, reason="recover must be an integer")
-        return SetParametersResult(successful=True)
 
     def _take(self, parameters: list[Parameter]) -> None:
         for parameter in parameters:
@@ -44,5 +38,8 @@ class Recovery:
                 told = f"recovered {self._driver.recover()}"
             except RoboNeuronError as error:
                 told = f"{error.code} {error}"
+            except Exception as error:  # the thread's border: who asked gets an answer
+                log.exception("The driver could not be recovered.")
+                told = f"{PluginError.code} {type(error).__name__}: {error}"
         self._status.set_value("recovery", f"{number} {told}")
         self._status.changed.set()

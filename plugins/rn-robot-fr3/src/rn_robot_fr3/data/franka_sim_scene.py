@@ -1,17 +1,22 @@
 """franka-sim with a hand, a table and cubes, in the simulator's own environment, where this package is not installed.
 
-Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port of
-loopback: "{}" asks for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a
-motion with that flag. Facts about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`.
+Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port: "{}" asks
+for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a motion with that
+flag. With --record FILE, each physics step appends 15 float64 to it: monotonic time [s], joints [rad] and their
+velocities [rad/s], and each command its time to FILE.commands; {"flush": 1} writes what is buffered. Facts about
+franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`.
 """
 
 # mypy: ignore-errors
 import argparse
+import ctypes
 import json
 import logging
 import pathlib
+import signal
 import socket
 import threading
+import time
 
 import franka_sim.mujoco_franka_sim as backend
 import mujoco
@@ -22,6 +27,8 @@ from franka_sim.franka_protocol import RobotMode
 JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))
 FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
 ROBOT, SURROUNDINGS = 1, 2
+PR_SET_PDEATHSIG = 1
+"""Source: linux/prctl.h."""
 ARMATURE = 0.195
 """Of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1 ms."""
 FINGER_ARMATURE_KG = 0.3
@@ -69,8 +76,10 @@ def build(scene, dt):
 class SceneSim(backend.MujocoFrankaSim):
     """franka-sim's arm and hand in our scene; it begins in our home posture."""
 
-    def __init__(self, scene):
+    def __init__(self, scene, record=None):
         super().__init__(enable_hand=True)
+        self.record = record and open(record, "wb")  # noqa: SIM115 - written to the end
+        self.commands = record and open(record + ".commands", "wb")  # noqa: SIM115
         self.scene = scene
         self.truth = {}
         self.keep_mode = lambda: None
@@ -88,9 +97,18 @@ class SceneSim(backend.MujocoFrankaSim):
         keep = 4000.0 * apart + 60.0 * speed
         return force + np.array([-keep, keep])
 
+    def update_joint_positions(self, positions):
+        """As the parent's; called when a command of a joint position motion has come."""
+        super().update_joint_positions(positions)
+        if self.commands:
+            self.commands.write(np.array([time.monotonic()]).tobytes())
+
     def _read_and_publish_state(self):
         super()._read_and_publish_state()
         self.keep_mode()
+        if self.record:
+            state = self._state_snapshot
+            self.record.write(np.concatenate([[time.monotonic()], state["q"], state["dq"]]).tobytes())
         poses = []
         for cube in self.scene["cubes"]:
             start = self.model.joint(cube["name"]).qposadr[0]
@@ -106,10 +124,10 @@ class SceneSim(backend.MujocoFrankaSim):
         }
 
 
-def tell(sim, server, port):
+def tell(sim, server, address):
     """Answer questions and play the person at the arm."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    listener.bind(("127.0.0.1", port))
+    listener.bind(address)
     while True:
         data, sender = listener.recvfrom(1024)
         asked = json.loads(data)
@@ -123,21 +141,26 @@ def tell(sim, server, port):
             sim.keep_mode = lambda kept=kept: server.robot_state.state.update(kept)
         if "error" in asked:
             server._abort_with_error(int(asked["error"]), "told to stop")
+        if "flush" in asked and sim.record:
+            sim.record.flush()
+            sim.commands.flush()
         listener.sendto(json.dumps(sim.truth).encode(), sender)
 
 
 def main():
-    """Run until interrupted."""
+    """Run until interrupted, or until whoever started it is gone."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     parser = argparse.ArgumentParser()
     parser.add_argument("scene")
     parser.add_argument("--scene-port", type=int, required=True)
     parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--record", default=None)
     parser.add_argument("--no-gripper", action="store_true")
     parser.add_argument("--enforce-comm-constraints", action="store_true")
     parser.add_argument("--enforce-motion-limits", action="store_true")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()))
+    sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()), arguments.record)
     server = FrankaSimServer(
         host=arguments.host,
         physics_sim=sim,
@@ -146,7 +169,7 @@ def main():
         enforce_comm_constraints=arguments.enforce_comm_constraints,
         enforce_motion_limits=arguments.enforce_motion_limits,
     )
-    threading.Thread(target=tell, args=(sim, server, arguments.scene_port), daemon=True).start()
+    threading.Thread(target=tell, args=(sim, server, (arguments.host, arguments.scene_port)), daemon=True).start()
     try:
         server.start()
     except KeyboardInterrupt:

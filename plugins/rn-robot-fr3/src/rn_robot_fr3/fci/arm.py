@@ -7,6 +7,7 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -32,6 +33,9 @@ PORT = 1337
 _PRIORITY = 20
 _PROBE_S = 3.0
 _STOP_S = 5.0
+_BRAKING_S = 0.5
+"""Longer than any stop: 2.6 rad/s at 7.4 rad/s^2 takes 0.36 s."""
+_LOOK_S = 0.002
 _NO_FILTER_HZ = 1000.0
 """libfranka's kMaxCutoffFrequency: with its low-pass filter on, a change of target is a jump in acceleration."""
 
@@ -44,7 +48,8 @@ class ArmState:
         position, velocity, torque: float64 (7,) [rad, rad/s, Nm].
         external_torque: float64 (7,), filtered [Nm].
         wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base frame.
-        tcp_m: float64 (3,), position of the end effector that Desk has configured, in the base frame.
+        tcp_m, tcp_xyzw: float64 (3,) and (4,), position and unit quaternion of the end effector that Desk has
+            configured, in the base frame.
         mode: libfranka's RobotMode, such as "Idle".
         errors: flags that are set now.
         success_rate: share of the last 100 commands that came in time; 0 when none are sent.
@@ -56,6 +61,7 @@ class ArmState:
     external_torque: F64
     wrench: F64
     tcp_m: F64
+    tcp_xyzw: F64
     mode: str
     success_rate: float
     errors: tuple[str, ...] = field(default=())
@@ -74,6 +80,7 @@ class FciArm:
         self._client = client
         self._robot: Any = None
         self._flags = [name for name in dir(client.Errors) if not name.startswith("_")]
+        self._is_stopping = False
         self.is_realtime = False
 
     def connect(self) -> None:
@@ -133,6 +140,7 @@ class FciArm:
             external_torque=np.array(state.tau_ext_hat_filtered, dtype=np.float64),
             wrench=np.array(state.O_F_ext_hat_K, dtype=np.float64),
             tcp_m=np.array(state.O_T_EE.translation, dtype=np.float64).ravel(),
+            tcp_xyzw=np.array(state.O_T_EE.quaternion, dtype=np.float64).ravel(),
             mode=state.robot_mode.name,
             success_rate=float(state.control_command_success_rate),
             errors=tuple(name for name in self._flags if getattr(state.current_errors, name) is True),
@@ -144,16 +152,28 @@ class FciArm:
         return bool(self._robot.is_in_control)
 
     def go(self, plan: Plan) -> None:
-        """Go to the plan's target; replaces what it was doing, without a jump."""
+        """Go to the plan's target; replaces the motion before, without a jump. See `await_rest`."""
         client, factor = self._client, self._options.dynamics_factor
         dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor, factor)
         waypoint = client.JointWaypoint(client.JointState(plan.target), relative_dynamics_factor=dynamics)
+        self._is_stopping = False
         self._move(client.JointWaypointMotion([waypoint], return_when_finished=False))
 
     def stop(self) -> None:
-        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once."""
-        if self.is_moving:
+        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once.
+
+        What stops already is left alone. The robot tells the desired velocity as a difference of positions, half a
+        cycle old, so a new motion begins with up to half of the acceleration as a jump: too much at the full one.
+        """
+        if self.is_moving and not self._is_stopping:
             self._move(self._client.JointStopMotion())
+            self._is_stopping = True
+
+    def await_rest(self) -> None:
+        """Return when a stop that has begun is over; at once when there is none."""
+        deadline_s = time.monotonic() + _BRAKING_S
+        while self._is_stopping and self.is_moving and time.monotonic() < deadline_s:
+            time.sleep(_LOOK_S)
 
     def _move(self, motion: Any) -> None:
         with self._realtime_threads():

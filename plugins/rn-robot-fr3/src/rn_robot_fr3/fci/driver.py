@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +12,16 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.arm import ArmState, FciArm, load_client
+from rn_robot_fr3.fci.command import checked
 from rn_robot_fr3.fci.faults import Fault
 from rn_robot_fr3.fci.gripper import FciGripper
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.fci.planner import plan
 from rn_robot_fr3.fci.scene import SceneFeed
+from rn_robot_fr3.fci.state_topics import StateTopics, described
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, MIMIC_FINGER_JOINT
 from roboneuron import (
     ConfigurationError,
-    InvalidInputError,
     JointCommand,
     JointSample,
     RefusedError,
@@ -58,6 +57,7 @@ class FciDriver:
         self._arm: FciArm | None = None
         self._gripper: FciGripper | None = None
         self._scene = SceneFeed(config.scene, topics) if config.scene else None
+        self._told: StateTopics | None = None
         self._commanding = threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -93,6 +93,8 @@ class FciDriver:
             arm.close()
             self.close()
             raise
+        if self._told is None:
+            self._told = StateTopics(self._topics)
         self._fault = None
         self._stop.clear()
         self._asked_s = time.monotonic()
@@ -104,8 +106,8 @@ class FciDriver:
         """Return the newest state, measured 125 times per second.
 
         `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors", "control_success_rate",
-        "torque_nm", "external_torque_nm", "external_wrench" (N, Nm, base frame), "tcp_m",
-        "watchdog_stops", "realtime" and "gripper".
+        "joints_rad", "velocity_rad_s", "torque_nm", "external_torque_nm", "external_wrench" (N, Nm, base frame),
+        "tcp_m", "watchdog_stops", "realtime" and "gripper". The same goes out on the topics of `state_topics`.
 
         Raises:
             StateError: not open.
@@ -127,7 +129,9 @@ class FciDriver:
             StateError: not open.
             UnsafeError: the arm has a fault; says which, and what to do.
         """
-        values = _checked(command)
+        values = checked(command)
+        if (braking := self._arm) is not None:
+            braking.await_rest()  # without the lock: states are measured meanwhile
         with self._commanding:
             arm, measured = self._arm, self._measured
             if arm is None or measured is None:
@@ -270,18 +274,12 @@ class FciDriver:
         names, position, velocity = ARM_JOINTS, measured.position, measured.velocity
         is_open = None
         detail = {
-            "mode": measured.mode,
-            "fault": f"{fault.code}: {fault.message}" if fault else "",
-            "fault_hint": fault.hint if fault else "",
-            "errors": ", ".join(measured.errors),
-            "control_success_rate": f"{measured.success_rate:.2f}",
-            "torque_nm": _listed(measured.torque, 1),
-            "external_torque_nm": _listed(measured.external_torque, 1),
-            "external_wrench": _listed(measured.wrench, 1),
-            "tcp_m": _listed(measured.tcp_m, 4),
+            **described(measured, fault),
             "watchdog_stops": str(self._watchdog_stops),
             "realtime": self._options.realtime if self._options.realtime == "required" else _scheduled(self._arm),
         }
+        if self._told is not None:
+            self._told.publish(measured, fault)
         if self._gripper is not None:
             finger_m = self._gripper.width_m / 2
             names = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
@@ -299,26 +297,3 @@ class FciDriver:
 
 def _scheduled(arm: FciArm | None) -> str:
     return "ignored; scheduled first in, first out" if arm is not None and arm.is_realtime else "ignored"
-
-
-def _listed(values: Sequence[float] | F64, digits: int) -> str:
-    return json.dumps([round(float(value), digits) for value in values])
-
-
-def _checked(command: JointCommand) -> dict[str, float]:
-    known = (*ARM_JOINTS, FINGER_JOINT)
-    unknown = [name for name in command.names if name not in known]
-    if unknown:
-        raise InvalidInputError(f"Joint {unknown[0]!r} is not known, expected some of {', '.join(known)}.")
-    if not command.names or len(set(command.names)) != len(command.names):
-        raise InvalidInputError(f"Joint names are {list(command.names)}, expected at least one and each only once.")
-    if command.position.shape != (len(command.names),):
-        raise InvalidInputError(
-            f"Positions have shape {command.position.shape}, expected ({len(command.names)},): one per joint name."
-        )
-    if not np.isfinite(command.position).all():
-        bad = command.names[int(np.argmin(np.isfinite(command.position)))]
-        raise InvalidInputError(f"The position of {bad!r} is not finite; nothing was sent.")
-    if not (np.isfinite(command.duration_s) and command.duration_s > 0.0):
-        raise InvalidInputError(f"duration_s is {command.duration_s}, expected a finite number of seconds > 0.")
-    return dict(zip(command.names, command.position.tolist(), strict=True))

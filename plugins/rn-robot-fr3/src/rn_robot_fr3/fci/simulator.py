@@ -64,10 +64,25 @@ class FrankaSim:
         python: interpreter of the environment that has franka-sim.
         options: further arguments, such as "--enforce-motion-limits".
         log: where its output goes.
+        port: UDP port of its scene.
+        host: address that it serves on.
+        prefix: what its command begins with, such as "nsenter" and its arguments.
     """
 
-    def __init__(self, python: Path, *, seed: int = 0, options: Sequence[str] = (), log: Path, port: int = SCENE_PORT):
+    def __init__(
+        self,
+        python: Path,
+        *,
+        seed: int = 0,
+        options: Sequence[str] = (),
+        log: Path,
+        port: int = SCENE_PORT,
+        host: str = "127.0.0.1",
+        prefix: Sequence[str] = (),
+    ) -> None:
         self._python = python
+        self._host = host
+        self._prefix = prefix
         self._options = options
         self._seed = seed
         self._log = log
@@ -79,7 +94,8 @@ class FrankaSim:
         path = Path(self._folder.name) / "scene.json"
         path.write_text(json.dumps(scene(self._seed)), encoding="utf-8")
         script = str(files("rn_robot_fr3").joinpath("data/franka_sim_scene.py"))
-        command = [str(self._python), script, str(path), "--scene-port", str(self._port), *self._options]
+        ours = [str(self._python), script, str(path), "--scene-port", str(self._port), "--host", self._host]
+        command = [*self._prefix, *ours, *self._options]
         self._log.parent.mkdir(parents=True, exist_ok=True)
         with self._log.open("wb") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
@@ -110,7 +126,7 @@ class FrankaSim:
         """Ask for the scene; with mode= or error= play the person at the arm, or a reflex. Raises OSError."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(2.0)
-            asking.connect(("127.0.0.1", self._port))
+            asking.connect((self._host, self._port))
             asking.send(json.dumps(what).encode())
             answer: dict[str, Any] = json.loads(asking.recv(65536))
             return answer
@@ -123,7 +139,7 @@ class FrankaSim:
             return False
 
     def _listens(self) -> bool:
-        with contextlib.closing(socket.create_connection(("127.0.0.1", 1337), 2.0)):
+        with contextlib.closing(socket.create_connection((self._host, 1337), 2.0)):
             return True
 
 

@@ -1,0 +1,236 @@
+"""A served FR3 behind franka-sim: server, modules and simulator are processes of their own, the agent is this one.
+
+The judge is the record of the simulator: its joints, 1000 times per second, with monotonic times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from anyio.from_thread import start_blocking_portal
+from mcp import Client, StdioServerParameters
+from numpy.typing import NDArray
+from plugin_site import installed
+from soak_cell import Agent, until
+
+from rn_robot_fr3.fci.simulator import FrankaSim
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD
+from roboneuron.ros.environment import prepare_environment
+
+F64 = NDArray[np.float64]
+STRICT = ("--enforce-motion-limits", "--enforce-comm-constraints")
+PYTHON = Path(os.environ.get("ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[1] / ".venv-fr3sim/bin/python"))
+HOME = np.array(HOME_RAD)
+STILL_RAD_S = 0.02
+"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the last 0.01 rad/s."""
+_COLUMNS = 15
+CONFIG = """
+[robot]
+name = "fr3"
+driver = "fci"
+server_timeout_s = {server_timeout_s}
+[perception]
+source = "blank"
+cameras = ["front"]
+[inference]
+backend = "sway"
+instruction = "sway"
+[control]
+controller = "urdf"
+server_timeout_s = {server_timeout_s}
+[server]
+reset_emergency_stop = "client"
+[supervisor]
+state_directory = "{folder}/state"
+start_timeout_s = 60.0
+[plugins.fr3]
+host = "{host}"
+realtime = "ignored"
+gripper = false
+dynamics_factor = {factor}
+[plugins.swing]
+tag = 2
+{more}
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Record:
+    """What the simulator's joints did.
+
+    Attributes:
+        at_s: float64 (n,), monotonic time.
+        position, velocity: float64 (n, 7) [rad, rad/s].
+    """
+
+    at_s: F64
+    position: F64
+    velocity: F64
+
+    def since(self, begin_s: float, end_s: float = np.inf) -> Record:
+        """The part between two moments."""
+        first, last = np.searchsorted(self.at_s, [begin_s, end_s])
+        return Record(
+            at_s=self.at_s[first:last], position=self.position[first:last], velocity=self.velocity[first:last]
+        )
+
+    def rest_s(self) -> float:
+        """When the arm came to rest for good; inf when it moves at the end."""
+        moving = np.flatnonzero(np.abs(self.velocity).max(axis=1) > STILL_RAD_S)
+        if len(moving) == 0:
+            return float(self.at_s[0])
+        return float(self.at_s[moving[-1] + 1]) if moving[-1] + 1 < len(self.at_s) else np.inf
+
+
+def read_record(path: Path, last_s: float | None = None) -> Record:
+    """What the simulator has written so far; only the newest `last_s` seconds (at 1000 rows a second) if given."""
+    size = path.stat().st_size // (8 * _COLUMNS)
+    skip = 0 if last_s is None else max(0, size - round(last_s * 1000))
+    rows = np.fromfile(path, offset=skip * 8 * _COLUMNS, count=(size - skip) * _COLUMNS).reshape(-1, _COLUMNS)
+    return Record(at_s=rows[:, 0], position=rows[:, 1:8], velocity=rows[:, 8:])
+
+
+class FciCell:
+    """The cell and what can be done to it.
+
+    Attributes:
+        agent: the MCP client, with every role.
+        link: a node of its own on the same graph.
+        folder: where state, logs and the record are.
+        server: process id.
+        refusal: what the newest `move` was refused or ended with.
+    """
+
+    def __init__(self, agent: Agent, link: Any, sim: FrankaSim, folder: Path) -> None:
+        self.agent, self.link, self.folder = agent, link, folder
+        self._sim = sim
+        self.refusal = ""
+        self.server = int(agent.do("get_status")["pid"])
+
+    def record(self, last_s: float | None = None) -> Record:
+        """The simulator's record until now."""
+        with contextlib.suppress(OSError):  # when its network is cut, its buffer is written now and then all the same
+            self._sim.tell(flush=1)
+        return read_record(self.folder / "record.bin", last_s)
+
+    def sim_log(self) -> str:
+        """What the simulator has said."""
+        return (self.folder / "franka-sim.log").read_text(errors="replace")
+
+    def speed(self) -> float:
+        """Fastest joint of the simulator now [rad/s]."""
+        return float(np.abs(self._sim.tell()["velocities"]).max())
+
+    def position(self) -> F64:
+        """The simulator's joints now [rad]."""
+        return np.array(self._sim.tell()["joints"][:7])
+
+    def pid(self, kind: str) -> int:
+        """Of a module's process."""
+        return int(self.agent.modules()[kind]["pid"])
+
+    def fault(self) -> str:
+        """What the driver says ails the arm; empty when nothing does."""
+        return str((self.agent.modules()["robot"].get("detail") or {}).get("fault", ""))
+
+    def start(self, *kinds: str) -> None:
+        """Start those modules that do not run."""
+        running = {kind for kind, module in self.agent.modules().items() if module["phase"] == "running"}
+        for kind in kinds:
+            if kind not in running:
+                self.agent.do(f"start_{kind}")
+
+    def start_policy(self) -> None:
+        """Start everything; returns when the arm moves."""
+        self.start("robot", "perception", "control")
+        self.agent.do("start_inference", instruction="sway")
+        until(lambda: self.speed() > 5 * STILL_RAD_S, 30.0, "the arm moves")
+
+    def move(self, target: F64, duration_s: float) -> threading.Thread:
+        """Begin a `move_joints`; `refusal` says afterwards why it was refused or ended."""
+        self.refusal = ""
+        positions = dict(zip(ARM_JOINTS, map(float, target), strict=True))
+
+        def call() -> None:
+            try:
+                self.agent.do("move_joints", positions=positions, duration_s=duration_s)
+            except RuntimeError as error:
+                self.refusal = str(error)
+
+        thread = threading.Thread(target=call, daemon=True)
+        thread.start()
+        return thread
+
+
+@contextlib.contextmanager
+def served_fci(
+    folder: Path,
+    *,
+    options: Sequence[str] = STRICT,
+    factor: float = 0.5,
+    server_timeout_s: float = 1.0,
+    host: str = "127.0.0.1",
+    prefix: Sequence[str] = (),
+    more: str = "",
+) -> Iterator[FciCell]:
+    """A cell in which only the server and the simulator run; all is ended.
+
+    Args:
+        folder: for everything that is written; empty.
+        options: of franka-sim.
+        factor: dynamics_factor.
+        server_timeout_s: of robot and control.
+        host, prefix: where franka-sim serves, and what its command begins with, as in `FrankaSim`.
+        more: more TOML.
+    """
+    text = CONFIG.format(folder=folder, factor=factor, server_timeout_s=server_timeout_s, host=host, more=more)
+    path = folder / "roboneuron.toml"
+    path.write_text(text)
+    options = (*options, "--no-gripper", "--record", str(folder / "record.bin"))
+    sim = FrankaSim(PYTHON, seed=1, options=options, log=folder / "franka-sim.log", host=host, prefix=prefix)
+    with installed(folder, "rn-fci-cell", ("fci_plugin",)), sim:
+        prepare_environment(folder / "log")
+        from roboneuron.ros.link import RosLink  # heavy
+
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
+        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+        link = RosLink("witness")
+        link.open()
+        try:
+            made = Client(server, read_timeout_seconds=180)
+            with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
+                yield FciCell(Agent(client, portal), link, sim, folder)
+        finally:
+            link.close()
+
+
+@contextlib.contextmanager
+def frozen(pid: int) -> Iterator[None]:
+    """A process stands still within the block."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+def watched(check: Callable[[], bool], limit_s: float) -> bool:
+    """Whether something comes true in time."""
+    deadline_s = time.monotonic() + limit_s
+    while not check():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.005)
+    return True

@@ -1,0 +1,111 @@
+"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under two names."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron.plugins.hookspecs import hookimpl
+from roboneuron.plugins.specs import ActionSpace, BackendSpec, PerceptionSpec
+
+if TYPE_CHECKING:
+    from roboneuron.contract import ActionChunk, CameraProfile, Frame, Observation, Topics
+
+PLUGIN = "fci_plugin"
+RATE_HZ = 20.0
+CENTRE_M = (0.45, 0.0, 0.40)
+SWAY_M = (0.06, 0.12, 0.08)
+PERIODS_S = (7.0, 5.0, 11.0)
+STEP_M = 0.008
+"""Longest way of one action; at 20 Hz that is 0.16 m/s."""
+
+
+class SwayOptions(BaseModel):
+    """Options of the policy."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    tag: int = Field(default=1, description="which of the two it is")
+
+
+class BlankCamera:
+    """Follows the protocol `PerceptionSource`: black images at `RATE_HZ`."""
+
+    def __init__(self, config: None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+        self._topics, self._camera = topics, cameras[0]
+        self._number = 0
+
+    def open(self) -> None:
+        """The first image is due now."""
+        self._start_s = time.monotonic()
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next image; its first four bytes number it, so that no two are the same."""
+        import numpy as np
+
+        from roboneuron.contract import Frame
+
+        self._number += 1
+        time.sleep(max(0.0, self._start_s + self._number / RATE_HZ - time.monotonic()))
+        image = np.zeros((self._camera.height, self._camera.width, 3), dtype=np.uint8)
+        image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
+        now_ns, camera = self._topics.now_ns(), self._camera
+        return Frame(camera=camera.name, image=image, stamp_ns=now_ns, frame_id=camera.frame_id)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class Sway:
+    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it is measured."""
+
+    def __init__(self, config: SwayOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+        self._options = config or SwayOptions()
+
+    def load(self) -> None:
+        """Nothing to load."""
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """One step towards the point of the curve at the image's time."""
+        import numpy as np
+
+        from roboneuron.contract import ActionChunk
+
+        assert observation.ee_pose is not None
+        at_s = observation.stamp_ns / 1e9
+        aim_m = [c + a * math.sin(math.tau * at_s / p) for c, a, p in zip(CENTRE_M, SWAY_M, PERIODS_S, strict=True)]
+        way_m = np.array(aim_m) - observation.ee_pose.position_m
+        way_m *= min(1.0, STEP_M / max(float(np.linalg.norm(way_m)), 1e-9))
+        return ActionChunk(actions=np.array([[*way_m, 0.0, 0.0, 0.0, 1.0]]), step_s=1.0 / RATE_HZ)
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """One policy under two names."""
+    return [
+        BackendSpec(
+            name=name,
+            summary="Sways before the arm.",
+            target=f"{PLUGIN}:Sway",
+            config=f"{PLUGIN}:SwayOptions",
+            action_space=ActionSpace(step_s=1.0 / RATE_HZ),
+            needs_state=True,
+        )
+        for name in ("sway", "swing")
+    ]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """Images without a picture."""
+    return [PerceptionSpec(name="blank", summary="Black images.", target=f"{PLUGIN}:BlankCamera")]

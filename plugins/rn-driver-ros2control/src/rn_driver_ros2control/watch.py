@@ -1,0 +1,162 @@
+"""Whether the controller and its joint states are there: asked at the start, and before everything that is sent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_driver_ros2control.link import ControllerLink, Measured
+from rn_driver_ros2control.options import Ros2ControlOptions
+from roboneuron import (
+    ConfigurationError,
+    JointSample,
+    NotReadyError,
+    RobotProfile,
+    RobotState,
+    Topics,
+    UnsafeError,
+)
+
+F64 = NDArray[np.float64]
+_MOST_CLOCK_ERROR_NS = 500_000_000
+"""A stamp farther than this from ROS time here is of another clock; then the time of arrival is used."""
+_LEAST_CLOSE = 0.1
+"""A reference farther than this [rad or m] from the measured joint is not where a stop begins."""
+
+
+class ControllerWatch:
+    """Judges a link by the options; usable from any thread."""
+
+    def __init__(self, options: Ros2ControlOptions, profile: RobotProfile, topics: Topics) -> None:
+        self._options = options
+        self._profile = profile
+        self._topics = topics
+        self._stamp_ns = 0
+
+    def await_states(self, link: ControllerLink) -> None:
+        """Wait until every joint of the arm and the controller have reported.
+
+        Raises:
+            NotReadyError: not in time; ConfigurationError: the controller moves other joints.
+        """
+        deadline_s = time.monotonic() + self._options.connect_timeout_s
+        while True:
+            missing = [name for name in self._profile.arm_joints if name not in link.joints()]
+            report = link.report()
+            if not missing and (report is not None or not self._options.watch_controller):
+                break
+            if time.monotonic() > deadline_s:
+                if missing:
+                    raise NotReadyError(f"{self._options.joint_states} does not tell {', '.join(missing)}.")
+                raise NotReadyError(self._inactive())
+            time.sleep(0.02)
+        if report is not None and set(report.joints) != set(self._profile.arm_joints):
+            raise ConfigurationError(
+                f"{self._options.controller} moves {', '.join(report.joints)}, the profile {self._profile.name!r} has "
+                f"{', '.join(self._profile.arm_joints)}; choose another controller or robot."
+            )
+
+    def check_topics(self) -> None:
+        """Two publishers of one robot's joint states: this driver would read what its own module repeats."""
+        if self._topics.publisher_types("joint_states"):
+            raise ConfigurationError(
+                "Another node already publishes `joint_states` in the robot's namespace.",
+                hint="Set [robot] namespace to one that ros2_control does not use; the driver reads absolute names.",
+            )
+
+    def check_fresh(self, joints: Mapping[str, Measured]) -> None:
+        """Raise NotReadyError when the arm's joint states have ceased."""
+        oldest_s = min((joints[n].received_s for n in self._profile.arm_joints if n in joints), default=0.0)
+        age_s = time.monotonic() - oldest_s
+        if age_s > self._options.state_timeout_s:
+            raise NotReadyError(
+                f"{self._options.joint_states} has been silent for {age_s:.1f} s.",
+                hint="Look whether ros2_control and its joint_state_broadcaster run.",
+            )
+
+    def check_controller(self, link: ControllerLink) -> None:
+        """Raise NotReadyError when the controller is absent or not active."""
+        state = self.controller_state(link)
+        if state == "absent":
+            raise NotReadyError(
+                f"The controller {self._options.controller} has gone.", hint="Load and activate it: `ros2 control`."
+            )
+        if state == "inactive":
+            raise NotReadyError(self._inactive())
+
+    def controller_state(self, link: ControllerLink) -> str:
+        """One of "active", "inactive", "absent", "not watched"."""
+        if not link.is_present():
+            return "absent"
+        if not self._options.watch_controller:
+            return "not watched"
+        report = link.report()
+        is_fresh = report is not None and time.monotonic() - report.received_s <= self._options.state_timeout_s
+        return "active" if is_fresh else "inactive"
+
+    def state(self, link: ControllerLink, measured: Mapping[str, Measured], told: Mapping[str, str]) -> RobotState:
+        """The arm as it was last measured, with what the driver tells of itself.
+
+        Raises:
+            UnsafeError: a measured value is not finite.
+        """
+        names, gripper, opening = self._profile.arm_joints, self._profile.gripper, None
+        if gripper is not None and gripper.joint in measured:
+            names = (*names, gripper.joint)
+            opening = gripper.to_opening(measured[gripper.joint].position)
+        chosen = [measured[name] for name in names]
+        position = np.array([joint.position for joint in chosen])
+        velocities = [joint.velocity for joint in chosen]
+        velocity = None if None in velocities else np.array(velocities, dtype=np.float64)
+        if not np.isfinite(position).all() or (velocity is not None and not np.isfinite(velocity).all()):
+            raise UnsafeError(f"{self._options.joint_states} tells a value that is not finite.")
+        report = link.report()
+        error = max((abs(value) for value in report.error.values()), default=0.0) if report is not None else 0.0
+        return RobotState(
+            joints=JointSample(names=names, position=position, velocity=velocity, stamp_ns=self._stamp(chosen)),
+            gripper_open=opening,
+            detail={
+                "controller": self.controller_state(link),
+                "following_error": f"{error:.5f}",
+                "speed_scaling": "" if report is None else f"{report.speed_scaling:g}",
+                **told,
+            },
+        )
+
+    def moving_from(self, link: ControllerLink, *, by_reference: bool) -> tuple[F64, F64] | None:
+        """Position and velocity (n,) where a stop begins; None when nobody tells.
+
+        The controller's reference where it is near the arm and asked for, otherwise the measured joints: after a fault
+        it is always these, for an arm that was blocked must not go on pressing.
+        """
+        joints, report, names = link.joints(), link.report(), self._profile.arm_joints
+        try:
+            self.check_fresh(joints)
+        except NotReadyError:
+            return None
+        position = np.array([joints[name].position for name in names])
+        velocity = np.array([joints[name].velocity or 0.0 for name in names])
+        if report is not None and by_reference and self.controller_state(link) == "active":
+            wanted = np.array([report.reference.get(name, (np.nan, 0.0)) for name in names])
+            if np.isfinite(wanted).all() and np.abs(wanted[:, 0] - position).max() < _LEAST_CLOSE:
+                return wanted[:, 0], wanted[:, 1]
+        return position, np.where(np.isfinite(velocity), velocity, 0.0)
+
+    def _stamp(self, joints: Sequence[Measured]) -> int:
+        """When the oldest of `joints` was measured, in ROS time here; never before what was told earlier."""
+        now_ns, oldest = self._topics.now_ns(), min(joints, key=lambda joint: joint.received_s)
+        stamp_ns = oldest.stamp_ns
+        if abs(now_ns - stamp_ns) > _MOST_CLOCK_ERROR_NS:
+            stamp_ns = now_ns - int((time.monotonic() - oldest.received_s) * 1e9)
+        self._stamp_ns = max(self._stamp_ns, stamp_ns)
+        return self._stamp_ns
+
+    def _inactive(self) -> str:
+        return (
+            f"{self._options.controller} is there but not active: {self._options.controller}/controller_state is "
+            "silent. Activate it: `ros2 control switch_controllers --activate "
+            f"{self._options.controller.rpartition('/')[2]}`."
+        )
