@@ -33,17 +33,39 @@ CONFIG_SHOW = CommandSpec(
     summary="print the default configuration and the options of features",
     target="rn_console.configuration:ConfigShow",
 )
+CONFIG_CHECK = CommandSpec(
+    name="config-check",
+    summary="say what is wrong with a roboneuron.toml, as `serve` would",
+    target="rn_console.config_check:ConfigCheck",
+)
 CONFIG_REFERENCE = CommandSpec(
     name="config-reference",
     summary="list all keys of roboneuron.toml, as Markdown",
     target="rn_console.configuration:ConfigReference",
+)
+PLUGINS_LIST = CommandSpec(
+    name="plugins-list",
+    summary="list the installed plugins and what they offer",
+    target="rn_console.plugins_list:PluginsList",
 )
 PLUGINS_SHOW = CommandSpec(
     name="plugins-show",
     summary="show everything about one plugin, or one thing it offers",
     target="rn_console.plugins_show:PluginsShow",
 )
-COMMANDS = (RUN, STATUS, LOGS, CALL, TOOLS, CONFIG_SHOW, CONFIG_REFERENCE, PLUGINS_SHOW, COMPLETION)
+COMMANDS = (
+    RUN,
+    STATUS,
+    LOGS,
+    CALL,
+    TOOLS,
+    CONFIG_CHECK,
+    CONFIG_SHOW,
+    CONFIG_REFERENCE,
+    PLUGINS_LIST,
+    PLUGINS_SHOW,
+    COMPLETION,
+)
 """Descriptors of the commands."""
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 
 from rn_console.options import describe_options
-from roboneuron.cli.plugins import STYLES, add_config, read_disabled
+from rn_console.plugins_list import STYLES
+from roboneuron.cli.commands import add_config, read_disabled
 from roboneuron.plugins import availability
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model

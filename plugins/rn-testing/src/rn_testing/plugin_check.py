@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from roboneuron.cli.plugins import read_disabled
+from roboneuron.cli.commands import read_disabled
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry, Status

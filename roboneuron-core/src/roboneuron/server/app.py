@@ -185,13 +185,25 @@ class Application:
             ready=self._join_ros,
             on_change=self.notices.tools_changed,
         )
-        self.host = Host(self)
+        self.server = self._build(config.server.name)
+        self.host = Host(
+            loop=self.loop,
+            supervisor=self.supervisor,
+            gate=self.direct.lent,
+            audit=self.loop.emergency_stop.audit,
+            server=self.server,
+            features=self.features,
+            tools=self.tools,
+            events=self.events,
+            started_s=self.started_s,
+            resource_updated=self.notices.resource_updated,
+            end_motion=self.end_motion,
+        )
         self.events.change.listen(self._on_module)
         offered = self.features.offer(self.host, self.tools)
         self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
         self._questions = Questions()
-        self.server = self._build(config.server.name)
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
