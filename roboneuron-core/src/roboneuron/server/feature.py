@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     from anyio import Event
+    from mcp.server.context import ServerRequestContext
+    from mcp.types import CallToolRequestParams
 
     from roboneuron.config import Config
     from roboneuron.server.host import Host
@@ -73,6 +75,16 @@ class Feature(Generic[OptionsT]):
         Raises:
             RoboNeuronError: it cannot work; the server goes on without it unless the configuration names it.
         """
+
+    async def ask(
+        self, request: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
+    ) -> bool | None:
+        """Ask the person behind the client of a tool call; whether they agreed, None when this feature cannot ask.
+
+        Raises:
+            UnfinishedCallError: the question goes out as the answer to the call, which is then made again.
+        """
+        return None
 
     def listen(self, host: Host) -> Transport:
         """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one of the descriptor's.

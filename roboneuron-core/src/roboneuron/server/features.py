@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import STDIO, Config, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
@@ -15,6 +15,10 @@ from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.server.feature import Feature, Resource, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.registry import ToolRegistry
+
+if TYPE_CHECKING:
+    from mcp.server.context import ServerRequestContext
+    from mcp.types import CallToolRequestParams
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +55,16 @@ class Features:
     def identifies_clients(self) -> bool:
         """Whether one of them tells clients apart by what they alone know."""
         return any(feature.identifies_clients for _, feature in self._all())
+
+    async def ask(
+        self, request: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
+    ) -> bool | None:
+        """See `Feature.ask`: by the first feature that can."""
+        for _, feature in self._all():
+            agreed = await feature.ask(request, params, question)
+            if agreed is not None:
+                return agreed
+        return None
 
     def check(self) -> None:
         """Have every feature check its part of the configuration."""

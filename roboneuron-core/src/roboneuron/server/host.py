@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from roboneuron.errors import StateError
 
 if TYPE_CHECKING:
-    from mcp.server import Server
-
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
     from roboneuron.plugins.registry import Registry
+    from roboneuron.server.app import AnnouncingServer
     from roboneuron.server.events import Events
     from roboneuron.server.features import Features
     from roboneuron.server.loop import ClosedLoop
@@ -56,7 +55,7 @@ class Host:
         tools: all tools by name, for features that add or remove some while the server runs.
         events: what happens, for listeners.
         started_s: monotonic time of the server's start [s].
-        resource_updated: tells clients that subscribed to the resource of that URI that it changed.
+        check_resource: raises MCPError unless there is a resource of that URI.
         end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot any more; returns
             after at most so many seconds.
     """
@@ -65,12 +64,12 @@ class Host:
     supervisor: Supervisor
     gate: MotionGate
     audit: AuditLog
-    server: Server[Any]
+    server: AnnouncingServer
     features: Features
     tools: ToolRegistry
     events: Events
     started_s: float
-    resource_updated: Callable[[str], None]
+    check_resource: Callable[[str], None]
     end_motion: Callable[[str, float], None]
 
     @property

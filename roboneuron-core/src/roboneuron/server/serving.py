@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from asyncio import get_running_loop
 from functools import partial
 from typing import Any, cast
 
@@ -56,7 +55,6 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
 
 
 async def _serve(application: Application, transport: Transport) -> None:
-    application.notices.attach(get_running_loop())
     leave = anyio.Event()
 
     async def leave_on_signal() -> None:
