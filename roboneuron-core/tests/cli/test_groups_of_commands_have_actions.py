@@ -97,7 +97,7 @@ def test_a_group_without_an_action_lists_its_actions(only, capsys, words):
 
 def test_an_unknown_command_suggests_the_nearest(capsys):
     assert main(["plugin"]) == 2
-    assert "did you mean 'plugins'" in capsys.readouterr().err
+    assert "Did you mean 'plugins'" in capsys.readouterr().err
 
 
 def test_help_lists_every_command_without_importing_it(capsys):

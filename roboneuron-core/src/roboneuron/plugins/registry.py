@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal, overload
 
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.specs import (
     KINDS,
@@ -154,10 +153,8 @@ class Registry:
                 f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} brings it.",
                 hint=f"Run: {install_command(package)}. {_choices(kind, ready)}{self._explain_absent_plugins()}",
             )
-        close = get_close_matches(name, ready, n=1)
-        nearest = f" Did you mean {close[0]!r}?" if close else ""
         raise ConfigurationError(
-            f"There is no {kind} {name!r}.{nearest}",
+            f"There is no {kind} {name!r}. {nearest(name, ready)}".rstrip(),
             hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
         )
 
@@ -176,10 +173,9 @@ class Registry:
             if named or record.distribution == name:
                 found.append((record, named))
         if not found:
-            close = get_close_matches(name, names, n=1)
-            nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
+            hint = nearest(name, names, "See `roboneuron plugins list`.")
             of_kind = f" of kind {kind}" if kind else ""
-            raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=nearest)
+            raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=hint)
         return found
 
     def _explain_absent_plugins(self) -> str:
@@ -199,6 +195,5 @@ def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
 
 def _check_kind(kind: str, kinds: Mapping[str, type[Spec]]) -> None:
     if kind not in kinds:
-        close = get_close_matches(kind, kinds, n=1)
-        nearest = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigurationError(f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}.{nearest}")
+        message = f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}."
+        raise ConfigurationError(message, hint=nearest(kind, kinds))
