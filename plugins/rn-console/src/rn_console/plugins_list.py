@@ -9,8 +9,8 @@ import textwrap
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
+from rn_console.chosen_plugins import add_config, read_disabled
 from roboneuron import __version__
-from roboneuron.cli.commands import add_config, read_disabled
 from roboneuron.plugins.availability import START, install_command
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status

@@ -8,11 +8,10 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
 from roboneuron.cli.terminal import add_verbosity, apply_verbosity
-from roboneuron.errors import ConfigurationError, PluginError
+from roboneuron.errors import PluginError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
 
@@ -97,25 +96,3 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
     arguments = parser.parse_args(words)
     apply_verbosity(arguments)
     return command.run(arguments)
-
-
-def add_config(parser: ArgumentParser) -> None:
-    """Add --config, for `read_disabled`."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply")
-
-
-def read_disabled(config: Path | None) -> tuple[str, ...]:
-    """`disabled_plugins` of a configuration file, read without the models that check the rest of it."""
-    if config is None:
-        return ()
-    import tomllib
-
-    try:
-        names = tomllib.loads(config.read_text(encoding="utf-8")).get("disabled_plugins", [])
-    except OSError as error:
-        raise ConfigurationError(f"{config} cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{config} is no valid TOML: {error}.") from error
-    if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
-        raise ConfigurationError(f"disabled_plugins in {config} is {names!r}, expected a list of distribution names.")
-    return tuple(names)

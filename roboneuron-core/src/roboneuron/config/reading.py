@@ -134,11 +134,11 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     Raises:
         ConfigurationError: there is none; says which package brings it.
     """
-    served = {name: spec for spec in registry.specs("feature").values() for name in spec.transports}
+    served = {name: spec for spec in registry.specs(FeatureSpec).values() for name in spec.transports}
     if transport in served:
         return served[transport]
     try:
-        registry.get("feature", transport)  # by convention it is called as the transport: says why it is not there
+        registry.get(FeatureSpec, transport)  # by convention it is called as the transport: says why it is not there
     except ConfigurationError as error:
         raise ConfigurationError(f"transport = {transport!r}: {error.message}", hint=error.hint) from error
     choices = ", ".join([STDIO, *served])

@@ -17,9 +17,9 @@ from types import ModuleType
 
 import pluggy
 
-from roboneuron.errors import ConfigurationError, PluginError, nearest
+from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
 from roboneuron.plugins import availability, hookspecs
-from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec, is_compatible
 from roboneuron.plugins.hookspecs import PROJECT, Hooks
 from roboneuron.plugins.registry import SEVERITY, Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
@@ -65,7 +65,7 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
             continue
         try:
             hooks = hooks.extended(_bringing_hooks(claim))
-        except PluginError as error:
+        except RoboNeuronError as error:
             records.append(_record(claim, Status.FAILED, str(error), _trace(error)))
         else:
             waiting.append(claim)
@@ -79,7 +79,7 @@ def known_hooks() -> Hooks:
     for point in entry_points(group=PROJECT):
         try:
             hooks = hooks.extended(_bringing_hooks(_identify(point)))
-        except PluginError:
+        except RoboNeuronError:
             continue
     return hooks
 
@@ -91,7 +91,8 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
             module = claim.point.load()
             offers = [getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")]
             offered = [spec for offer in offers for spec in offer()]
-        return tuple(s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
+        bringing = (s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
+        return tuple(s for s in bringing if TARGET_PATTERN.fullmatch(str(s.hooks)))
     except (Exception, SystemExit):
         return ()
 

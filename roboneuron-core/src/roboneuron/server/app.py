@@ -25,7 +25,7 @@ from roboneuron.server.access import holder_of, watching
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.emergency import SafetyReports
 from roboneuron.server.events import Events
-from roboneuron.server.features import Features
+from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop

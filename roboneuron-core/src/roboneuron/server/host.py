@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from roboneuron.plugins.registry import Registry
     from roboneuron.server.app import AnnouncingServer
     from roboneuron.server.events import Events
-    from roboneuron.server.features import Features
+    from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
     from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry

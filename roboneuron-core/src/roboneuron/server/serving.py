@@ -6,7 +6,6 @@ import logging
 import os
 import signal
 from functools import partial
-from typing import Any, cast
 
 import anyio
 
@@ -88,7 +87,6 @@ async def _serve_stdio(application: Application, wire: tuple[int, int], leave: a
         server = application.server
         reader.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
-        await server.run(*streams, server.create_initialization_options())
+        await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()
