@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import Selection, check_compatible, check_instruction, select
@@ -20,7 +21,6 @@ from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
-    from roboneuron.plugins.specs import RobotSpec
     from roboneuron.ros.link import RosLink
 
 
