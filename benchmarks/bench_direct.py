@@ -152,7 +152,7 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
 SERVE = (
     "import logging, sys\nlogging.basicConfig(level='ERROR')\nfrom pathlib import Path\n"
     "from roboneuron.config import load_config\n"
-    "from roboneuron.server.stdio import divert_standard_streams\nwire = divert_standard_streams()\n"
+    "from roboneuron.cli.serve import divert_standard_streams\nwire = divert_standard_streams()\n"
     "import roboneuron.server.serving as serving\nserving.check_configuration = lambda *a: None\n"
     "serving.serve(load_config(Path(sys.argv[1])), wire)\n"
 )

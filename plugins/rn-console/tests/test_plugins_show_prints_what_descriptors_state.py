@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_console.chosen_plugins import find
 from rn_console.plugins_show import PluginsShow, show
 from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite, plugin_site
@@ -57,3 +58,11 @@ def test_the_disabled_plugins_of_a_configuration_are_not_loaded(tmp_path, capsys
     PluginsShow().configure(parser)
     assert PluginsShow().run(parser.parse_args(["rn-fastdds", "--config", str(config)])) == 0
     assert "disabled" in capsys.readouterr().out
+
+
+def test_find_takes_offers_by_name_and_kind():
+    registry = fake_registry()
+    assert [o.spec.kind for _, offers in find(registry, "gantry", None) for o in offers] == ["controller", "robot"]
+    assert [o.spec.kind for _, offers in find(registry, "gantry", "robot") for o in offers] == ["robot"]
+    with pytest.raises(ConfigurationError, match="of kind backend"):
+        find(registry, "gantry", "backend")

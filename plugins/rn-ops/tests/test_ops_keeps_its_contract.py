@@ -2,7 +2,7 @@
 
 import pytest
 
-from rn_ops.plugin import COMMAND, FEATURE
+from rn_ops.plugin import CLIENTS, COMMAND, FEATURE
 from rn_testing import (
     CommandCase,
     CommandContract,
@@ -17,6 +17,12 @@ class TestOperations(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=FEATURE)
+
+
+class TestClients(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=CLIENTS)
 
 
 class TestDoctor(CommandContract):

@@ -14,6 +14,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_ops.plugin import CLIENTS
 from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposing import Admin
 from rn_tools_ros.options import ExposeConfig
@@ -66,7 +67,7 @@ def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_other
     bare = '[robot]\nname = "rover"\n'
     assert "expose_endpoint" not in names(make_application(bare))
     assert {"expose_endpoint", "unexpose_endpoint"} <= names(make_application(LOCAL))
-    with_token = make_application(bare, fake_registry(TOKENS, FEATURE))
+    with_token = make_application(bare, fake_registry(TOKENS, FEATURE, CLIENTS))
     assert "expose_endpoint" in names(with_token)
     assert "expose_endpoint" not in {tool.name for tool in with_token.tools.listing("operator")}
 

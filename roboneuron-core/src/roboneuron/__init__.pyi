@@ -2,7 +2,7 @@
 
 # fmt: off
 # ruff: noqa: I001
-from .config.section import (
+from .config.models import (
     Section as Section,
 )
 from .contract import (

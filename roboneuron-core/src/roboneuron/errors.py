@@ -6,7 +6,15 @@ the configuration, install something, correct an argument, retry, stop the robot
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import ClassVar
+
+
+def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: float = 0.6) -> str:
+    """The question whether the known name that is most like `name` was meant; `otherwise` when none is like it."""
+    close = get_close_matches(name, list(known), n=1, cutoff=likeness)
+    return f"Did you mean {close[0]!r}?" if close else otherwise
 
 
 class RoboNeuronError(Exception):

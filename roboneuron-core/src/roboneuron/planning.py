@@ -68,11 +68,11 @@ def check_plan(
         ConfigurationError: a name is not installed or cannot be used.
         PlanningError: the parts do not fit; the message says which two and what would.
     """
-    robot_spec = registry.get("robot", robot)
+    robot_spec = registry.get(RobotSpec, robot)
     driver_spec = _check_driver(robot_spec, driver)
-    perception_spec = registry.get("perception", perception) if perception else None
-    controller_spec = registry.get("controller", controller) if controller else None
-    backend_spec = registry.get("backend", backend) if backend else None
+    perception_spec = registry.get(PerceptionSpec, perception) if perception else None
+    controller_spec = registry.get(ControllerSpec, controller) if controller else None
+    backend_spec = registry.get(BackendSpec, backend) if backend else None
     if perception_spec is not None:
         _check_perception(perception_spec, robot_spec, driver_spec)
     if controller_spec is not None:
@@ -85,7 +85,7 @@ def check_plan(
         _check_action_width(backend_spec, robot_spec)
         chosen = _resolve_cameras(backend_spec, robot_spec, cameras)
         runtime_spec = _resolve_runtime(registry, backend_spec, runtime)
-        acceleration_spec = registry.get("acceleration", acceleration) if acceleration else None
+        acceleration_spec = registry.get(AccelerationSpec, acceleration) if acceleration else None
         if acceleration_spec is not None:
             _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
     return Plan(
@@ -185,7 +185,7 @@ def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[st
 
 
 def _resolve_runtime(registry: Registry, backend: BackendSpec, name: str | None) -> RuntimeSpec | None:
-    fitting = [r.name for r in registry.specs("runtime").values() if backend.family and backend.family in r.families]
+    fitting = [r.name for r in registry.specs(RuntimeSpec).values() if backend.family and backend.family in r.families]
     wanted = name or backend.default_runtime
     if not wanted:
         if backend.runtimes_required:
@@ -196,7 +196,7 @@ def _resolve_runtime(registry: Registry, backend: BackendSpec, name: str | None)
         return None
     if not backend.family:
         raise PlanningError(f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.")
-    runtime = registry.get("runtime", wanted)
+    runtime = registry.get(RuntimeSpec, wanted)
     if backend.family not in runtime.families:
         raise PlanningError(
             f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend {backend.name!r} is of "
@@ -217,7 +217,7 @@ def _check_acceleration(
     word = acceleration.capability
     able = [
         r.name
-        for r in registry.specs("runtime").values()
+        for r in registry.specs(RuntimeSpec).values()
         if backend.family in r.families and (not word or word in r.capabilities)
     ]
     if runtime is None:

@@ -149,9 +149,9 @@ def test_every_exception_becomes_a_status_and_a_line(
         raise error
 
     monkeypatch.delenv(terminal.TRACEBACK_VARIABLE, raising=False)
-    monkeypatch.setattr("roboneuron.cli.config.run", fail)
-    assert "config-check" in commands.COMMANDS
-    assert main(["config", "check", "x.toml"]) == status
+    monkeypatch.setattr("roboneuron.cli.estop.run", fail)
+    assert "estop" in commands.COMMANDS
+    assert main(["estop"]) == status
     shown = capsys.readouterr().err
     assert shown.startswith(words)
     assert len(shown.splitlines()) == bool(words)

@@ -78,7 +78,7 @@ def test_a_command_that_cannot_be_loaded_says_why_in_one_line(run):
 def test_core_keeps_its_own_commands_and_suggests_the_nearest(run):
     assert "serve MCP tools" in run("--help").stdout
     assert "would hide" not in run("--help").stdout
-    assert "did you mean 'greet'?" in run("gret").stderr
+    assert "Did you mean 'greet'?" in run("gret").stderr
 
 
 def test_a_command_of_a_package_that_is_not_installed_names_it(monkeypatch, capsys):

@@ -19,7 +19,7 @@ ROBOT = '[robot]\nname = "gantry"\n'
 
 WRONG = [
     ("[plugins.instnat]\nhorizon = 3\n", "[plugins.instnat]: nothing is called 'instnat'. Did you mean 'instant'?"),
-    ("[plugins.instant]\nhorizn = 3\n", "plugins.instant.horizn is unknown; did you mean 'horizon'?"),
+    ("[plugins.instant]\nhorizn = 3\n", "plugins.instant.horizn is unknown. Did you mean 'horizon'?"),
     ("[plugins.instant]\nhorizon = 99\n", "plugins.instant.horizon is 99"),
     ("[plugins.gantry]\nstart_opne = true\n", "plugins.gantry.start_opne is unknown"),
     ("[plugins.plain]\nx = 1\n", "plugins.plain.x is unknown: 'plain' takes no options."),
@@ -28,7 +28,7 @@ WRONG = [
     ('[server]\nagent_options = ["instnat.horizon"]\n', "nothing is called 'instnat'"),
     (
         '[server]\nagent_options = ["instant.horizn"]\n',
-        "'instant' has no option 'horizn'. Did you mean instant.horizon?",
+        "'instant' has no option 'horizn'. Did you mean 'horizon'?",
     ),
 ]
 

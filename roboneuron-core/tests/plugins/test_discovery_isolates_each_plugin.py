@@ -30,12 +30,12 @@ BROKEN = {
     "misspells a hook": (
         "@hookimpl\ndef roboneuron_backend(): return []",
         Status.FAILED,
-        "roboneuron_backend is no hook; did you mean roboneuron_backends?",
+        "roboneuron_backend is no hook. Did you mean 'roboneuron_backends'?",
     ),
     "misspells a hook without decorator": (
         "def roboneuron_robot(): return []",
         Status.FAILED,
-        "did you mean roboneuron_robots?",
+        "Did you mean 'roboneuron_robots'?",
     ),
     "decorates what is no hook": ("@hookimpl\ndef backends(): return []", Status.FAILED, "backends is no hook"),
     "forgets the decorator": (

@@ -85,7 +85,7 @@ def test_without_the_feature_its_hook_is_unknown(write):
 
 @pytest.mark.parametrize(
     ("table", "fault"),
-    [("MISSING", "cannot be loaded"), ("__name__", "expected a mapping"), ("TWICE", "there already")],
+    [("MISSING", "there is no attribute 'MISSING'"), ("__name__", "expected a mapping"), ("TWICE", "there already")],
 )
 def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
     feature = EVALUATION.replace("{module}", f"evaluation_{table.lower()}").replace("{table}", table)
@@ -109,7 +109,7 @@ def test_two_owners_of_one_section_disable_both(write):
     [
         ('sections=("Bad Key",)', "The section 'Bad Key'"),
         ('sections=("a",), config=None', "has no `config`"),
-        ('hooks="nowhere"', "expected 'module:attribute'"),
+        ('hooks="nowhere"', "expected 'package.module:attribute'"),
     ],
 )
 def test_malformed_features_are_named(write, change, fault):

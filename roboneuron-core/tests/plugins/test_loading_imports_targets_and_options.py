@@ -48,7 +48,7 @@ def test_load_target_of_a_driver(servo):
 
 
 def test_load_target_names_the_nearest_attribute(servo):
-    with pytest.raises(PluginError, match=r"no attribute 'Sevro'; did you mean 'Servo'"):
+    with pytest.raises(PluginError, match=r"no attribute 'Sevro'\. Did you mean 'Servo'"):
         load_target(_spec("servo_module:Sevro"))
 
 
@@ -84,7 +84,7 @@ def test_load_options_reads_paths_and_tuples(servo):
 
 
 def test_load_options_names_the_key_and_the_nearest(servo):
-    with pytest.raises(ConfigurationError, match=r"plugins\.servo\.gian is unknown; did you mean 'gain'\?"):
+    with pytest.raises(ConfigurationError, match=r"plugins\.servo\.gian is unknown\. Did you mean 'gain'\?"):
         load_options(servo, {"gian": 2.0})
 
 

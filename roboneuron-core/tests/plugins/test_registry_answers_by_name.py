@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from rn_testing.fakes import fake_registry
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Status
 
@@ -65,11 +64,3 @@ def test_an_unknown_kind_is_refused(site):
 def test_get_without_any_plugin_says_so(site):
     with pytest.raises(ConfigurationError, match="No robot plugin is ready"):
         site.discover().get("robot", "fr3")
-
-
-def test_find_takes_offers_by_name_and_kind():
-    registry = fake_registry()
-    assert [o.spec.kind for _, offers in registry.find("gantry", None) for o in offers] == ["controller", "robot"]
-    assert [o.spec.kind for _, offers in registry.find("gantry", "robot") for o in offers] == ["robot"]
-    with pytest.raises(ConfigurationError, match="of kind backend"):
-        registry.find("gantry", "backend")

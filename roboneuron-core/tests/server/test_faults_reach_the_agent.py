@@ -132,7 +132,7 @@ def test_faults_are_told_and_survived(
     async def connect() -> None:
         command = serve_command()
         path = tmp_path / "roboneuron.toml"
-        path.write_text(f'disabled_plugins = ["rn-ops"]\n{path.read_text()}')  # which would restart perception
+        path.write_text(f'{path.read_text()}[ops.restart]\nperception = "never"\n')
         server = StdioServerParameters(command=command[0], args=command[1:], env=server_environment)
         async with Client(server, mode="legacy", message_handler=on_message) as client:
             with pytest.warns(MCPDeprecationWarning):

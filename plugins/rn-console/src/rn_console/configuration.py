@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, get_args, get_origin
 
 from rn_console.options import UNSET, describe_options
+from roboneuron import FeatureSpec
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    from roboneuron import FeatureSpec
 
 
 class ConfigShow:
@@ -116,7 +115,7 @@ def reference() -> str:
 
 def _feature_tables() -> Iterator[tuple[FeatureSpec, list[tuple[str, type[BaseModel]]]]]:
     """The installed features that have options, each with its sections."""
-    for spec in discover().specs("feature").values():
+    for spec in discover().specs(FeatureSpec).values():
         model = load_options_model(spec)
         if model is not None:
             yield spec, list(_tables(model)) if spec.sections else [(f"[{spec.keys[0]}]", model)]

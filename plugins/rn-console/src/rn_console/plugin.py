@@ -33,10 +33,20 @@ CONFIG_SHOW = CommandSpec(
     summary="print the default configuration and the options of features",
     target="rn_console.configuration:ConfigShow",
 )
+CONFIG_CHECK = CommandSpec(
+    name="config-check",
+    summary="say what is wrong with a roboneuron.toml, as `serve` would",
+    target="rn_console.config_check:ConfigCheck",
+)
 CONFIG_REFERENCE = CommandSpec(
     name="config-reference",
     summary="list all keys of roboneuron.toml, as Markdown",
     target="rn_console.configuration:ConfigReference",
+)
+PLUGINS_LIST = CommandSpec(
+    name="plugins-list",
+    summary="list the installed plugins and what they offer",
+    target="rn_console.plugins_list:PluginsList",
 )
 PLUGINS_SHOW = CommandSpec(
     name="plugins-show",
@@ -53,7 +63,21 @@ DOWN = CommandSpec(
     summary="stop everything that runs, of `up` or of a server",
     target="rn_console.up_command:Down",
 )
-COMMANDS = (RUN, UP, DOWN, STATUS, LOGS, CALL, TOOLS, CONFIG_SHOW, CONFIG_REFERENCE, PLUGINS_SHOW, COMPLETION)
+COMMANDS = (
+    RUN,
+    UP,
+    DOWN,
+    STATUS,
+    LOGS,
+    CALL,
+    TOOLS,
+    CONFIG_CHECK,
+    CONFIG_SHOW,
+    CONFIG_REFERENCE,
+    PLUGINS_LIST,
+    PLUGINS_SHOW,
+    COMPLETION,
+)
 """Descriptors of the commands."""
 
 

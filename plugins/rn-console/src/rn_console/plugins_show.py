@@ -6,8 +6,9 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 
+from rn_console.chosen_plugins import add_config, find, read_disabled
 from rn_console.options import describe_options
-from roboneuron.cli.plugins import STYLES, add_config, read_disabled
+from rn_console.plugins_list import STYLES
 from roboneuron.plugins import availability
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_options_model
@@ -35,7 +36,7 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
     from rich.text import Text
 
     console = Console(highlight=False, soft_wrap=True)
-    for record, offers in registry.find(name, kind):
+    for record, offers in find(registry, name, kind):
         heading = Text.assemble((f"{record.distribution} {record.version}".strip(), "bold"), "  ")
         console.print(heading.append(record.status, style=STYLES[record.status]))
         console.print(Text(f"  module: {record.module}"))

@@ -167,6 +167,6 @@ def refuse_early(plan: EvalPlan) -> None:
         plan.check(registry, preset)
     for latency in plan.latencies:
         parse_latency(latency)
-    spec = registry.get("backend", plan.backend)
+    spec = registry.get(BackendSpec, plan.backend)
     if spec.needs_checkpoint and plan.checkpoint is None:
         raise RoboNeuronError(f"The backend {plan.backend!r} needs a checkpoint.", hint="Give --checkpoint FOLDER.")

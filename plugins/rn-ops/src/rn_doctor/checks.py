@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rn_doctor.finding import Check, Finding, Verdict, failed, ok, warning
 from rn_doctor.images import measure_image_transport
-from roboneuron import RoboNeuronError
+from roboneuron import RoboNeuronError, RobotSpec
 from roboneuron.config import Config
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
@@ -186,7 +186,7 @@ def _configuration(config: Config) -> Finding:
 
 def _chosen(config: Config, registry: Registry) -> str:
     """Which of the modules the robot's driver can choose from are installed; it takes the first unless told."""
-    driver = registry.get("robot", config.robot.name).driver(config.robot.driver)
+    driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
     choices = [present(requirement) for requirement in driver.requires if requirement.alternatives] if driver else []
     return "".join(f" with {' or '.join(modules)}" for modules in choices)
 

@@ -8,7 +8,14 @@ FEATURE = FeatureSpec(
     target="rn_ops.feature:Operations",
     config="rn_ops.options:OpsOptions",
 )
-"""Descriptor of the feature."""
+"""Descriptor of the feature that records and restarts."""
+
+CLIENTS = FeatureSpec(
+    name="clients",
+    summary="Tells clients what changes, and asks the person behind a client.",
+    target="rn_ops.clients:Clients",
+)
+"""Descriptor of the feature that clients hear changes and questions from."""
 
 COMMAND = CommandSpec(
     name="doctor",
@@ -21,7 +28,7 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE,)
+    return (FEATURE, CLIENTS)
 
 
 @hookimpl

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.config.section import Name, Seconds
+from roboneuron.config.models import Name, Seconds
 
 
 class TokenConfig(Section):

@@ -12,9 +12,8 @@ import tomllib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from roboneuron.cli.plugins import read_disabled
+from rn_console.chosen_plugins import add_config, find, read_disabled
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry, Status
@@ -55,9 +54,7 @@ class PluginsCheck:
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron plugins check`."""
         parser.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
-        parser.add_argument(
-            "--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply"
-        )
+        add_config(parser)
         parser.add_argument("--kind", choices=sorted(KINDS), help="check offers of this kind only")
         parser.add_argument(
             "--option", action="append", default=[], metavar="KEY=VALUE", help="option of the plugin; VALUE as in TOML"
@@ -87,7 +84,7 @@ def check(
     """
     parsed = parse_options(options)
     results: list[Result] = []
-    for record, offers in registry.find(name, kind):
+    for record, offers in find(registry, name, kind):
         usable = [o for o in offers if o.status is Status.READY]
         results += [
             Result(

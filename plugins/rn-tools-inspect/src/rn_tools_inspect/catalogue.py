@@ -139,7 +139,7 @@ def _common(offer: Offer) -> dict[str, str]:
 
 def backends(registry: Registry) -> Backends:
     """All backends, with the runtimes and accelerations that fit each."""
-    runtimes, accelerations = registry.specs("runtime"), registry.specs("acceleration")
+    runtimes, accelerations = registry.specs(RuntimeSpec), registry.specs(AccelerationSpec)
     return Backends(
         backends=[
             Backend(

@@ -6,7 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from roboneuron.config.section import EndpointName, Name, Namespace, Range, Section
+from roboneuron.config.models import Name, Namespace, Section
+
+EndpointName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class ExposeConfig(Section):

@@ -38,8 +38,6 @@ class CommandModule(Protocol):
 COMMANDS: dict[str, Command] = {
     "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
-    "config-check": Command("roboneuron.cli.config", "say what is wrong with a roboneuron.toml, as `serve` would"),
-    "plugins-list": Command("roboneuron.cli.plugins", "list the installed plugins and what they offer"),
 }
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
-from difflib import get_close_matches
 
 from roboneuron import __version__
 from roboneuron.cli.commands import (
@@ -18,6 +17,7 @@ from roboneuron.cli.commands import (
     spoken,
 )
 from roboneuron.cli.terminal import EXIT_USAGE, accept_any_text, show_error, with_verbosity_behind
+from roboneuron.errors import nearest
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
@@ -61,9 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
     if registry is not None and not _is_known(name, registry):
         names = [*map(spoken, [*COMMANDS, *installed_commands(registry)]), *GROUPS]
-        close = get_close_matches(spoken(name), names, n=1)
-        nearest = f"did you mean {close[0]!r}?" if close else f"choose one of: {', '.join(names)}."
-        print(f"roboneuron: there is no command {spoken(name)!r}; {nearest}", file=sys.stderr)
+        meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
+        print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
     try:
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)

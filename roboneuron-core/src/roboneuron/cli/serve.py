@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,8 +32,6 @@ def configure(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron serve`."""
-    from roboneuron.server.stdio import divert_standard_streams
-
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
     from roboneuron.config import load_config
@@ -41,6 +41,24 @@ def run(arguments: Namespace) -> int:
 
     serve(config, wire)
     return 0
+
+
+def divert_standard_streams() -> tuple[int, int]:
+    """Move stdin and stdout to private descriptors, not inherited by children; call it once, first of all.
+
+    Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child processes and C++
+    libraries, and before anything is imported that might print.
+    """
+    wire_in = os.dup(0)
+    wire_out = os.dup(1)
+    os.set_inheritable(wire_in, False)
+    os.set_inheritable(wire_out, False)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return wire_in, wire_out
 
 
 def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:

@@ -8,6 +8,7 @@ from roboneuron.config.models import (
     InferenceConfig,
     LimitsConfig,
     PerceptionConfig,
+    Reaction,
     RobotConfig,
     ServerConfig,
     SupervisorConfig,
@@ -23,7 +24,6 @@ from roboneuron.config.reading import (
     parse_config,
     transport_feature,
 )
-from roboneuron.config.section import Reaction
 
 __all__ = [
     "EMBEDDED_DEFAULT",

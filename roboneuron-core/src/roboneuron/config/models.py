@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.config.section import (
-    CameraName,
-    Name,
-    Namespace,
-    Point,
-    Reaction,
-    Seconds,
-    Section,
-    Share,
-)
-
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
+CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+Namespace = Annotated[str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA-Z0-9_]*)*$", max_length=128)]
+Seconds = Annotated[float, Field(gt=0, le=3600)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
+Reaction = Literal["hold", "scale", "refuse"]
+"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last command end."""
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
+
+
+class Section(BaseModel):
+    """A table of roboneuron.toml: no unknown keys, no conversions, no changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class RobotConfig(Section):

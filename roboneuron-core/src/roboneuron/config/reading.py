@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,10 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from roboneuron.config.models import Config
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_options_model
+from roboneuron.plugins.loading import load_options_model, option_names
 from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import FeatureSpec
 
@@ -135,11 +134,11 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     Raises:
         ConfigurationError: there is none; says which package brings it.
     """
-    served = {name: spec for spec in registry.specs("feature").values() for name in spec.transports}
+    served = {name: spec for spec in registry.specs(FeatureSpec).values() for name in spec.transports}
     if transport in served:
         return served[transport]
     try:
-        registry.get("feature", transport)  # by convention it is called as the transport: says why it is not there
+        registry.get(FeatureSpec, transport)  # by convention it is called as the transport: says why it is not there
     except ConfigurationError as error:
         raise ConfigurationError(f"transport = {transport!r}: {error.message}", hint=error.hint) from error
     choices = ", ".join([STDIO, *served])
@@ -164,7 +163,7 @@ def _explain(error: ValidationError, root: type[BaseModel], source: str, section
     for item in error.errors(include_url=False):
         key = ".".join([*([section] if section else []), *(str(part) for part in item["loc"])])
         if item["type"] == "extra_forbidden":
-            lines.append(_unknown_key(source, key, _valid_keys(root, item["loc"])))
+            lines.append(_unknown_key(source, key, option_names(root, item["loc"][:-1])))
         elif item["type"] == "missing":
             lines.append(f"{source}: {key!r} is missing.")
         else:
@@ -178,23 +177,5 @@ def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
     if key in moved:
         return f"{source}: the key {key!r} has moved: write {moved[key]}."
     known = sorted(valid)
-    near = get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
-    nearest = f" Did you mean {near[0]!r}?" if near else f" Valid keys: {', '.join(known)}."
-    return f"{source}: unknown key {key!r}.{nearest}"
-
-
-def _valid_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Keys allowed in the section that `location` (of an error) points into."""
-    model: Any = root
-    for part in location[:-1]:
-        if isinstance(part, int):  # an entry of an array of tables
-            continue
-        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
-        if field is None:
-            return []
-        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        candidates += [a for c in candidates for a in getattr(c, "__args__", ())]
-        model = next((c for c in candidates if hasattr(c, "model_fields")), None)
-        if model is None:
-            return []
-    return sorted(name for name, field in model.model_fields.items() if not field.exclude)
+    meant = nearest(key.rpartition(".")[2], known, f"Valid keys: {', '.join(known)}.", likeness=0.5)
+    return f"{source}: unknown key {key!r}. {meant}"

@@ -27,6 +27,7 @@ from roboneuron.modules.prediction import prediction_record
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.specs import AccelerationSpec, BackendSpec
 from roboneuron.ros.messages import to_action_message
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, PREDICTIONS, camera_image, camera_info
 
@@ -70,7 +71,7 @@ class InferenceModule(Module):
             acceleration=config.acceleration,
             cameras=config.cameras,
         )
-        spec = registry.get("backend", config.backend)
+        spec = registry.get(BackendSpec, config.backend)
         profile = load_profile(registry, robot.name)
         cameras = _cameras(plan, profile)
         options = dict(self.config.options(spec.name))
@@ -92,7 +93,7 @@ class InferenceModule(Module):
             node,
             plan.acceleration.name if plan.acceleration else "",
             (self._backend, self._runtime),
-            lambda name: build(registry.get("acceleration", name), self.config.options(name)),
+            lambda name: build(registry.get(AccelerationSpec, name), self.config.options(name)),
         )
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(

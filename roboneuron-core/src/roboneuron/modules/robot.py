@@ -16,6 +16,7 @@ from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.recovery import Recovery
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.specs import RobotSpec
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import commands_from_message, to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
@@ -41,7 +42,7 @@ class RobotModule(Module):
         self._moving = False
         self._command_s = 0.0
         registry = discover(self.config.disabled_plugins)
-        robot = registry.get("robot", self.config.robot.name)
+        robot = registry.get(RobotSpec, self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
         if spec is None:
             names = ", ".join(repr(driver.name) for driver in robot.drivers)

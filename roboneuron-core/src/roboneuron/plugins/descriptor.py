@@ -9,7 +9,7 @@ from types import NoneType, UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import CONTRACT_VERSION, FeatureSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
@@ -37,6 +37,8 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
         _check_robot(spec)
     if isinstance(spec, FeatureSpec):
         _check_feature(spec)
+    if isinstance(spec, (FeatureSpec, CommandSpec)) and spec.hooks is not None:
+        _check_target(spec.hooks, f"`hooks` of {kind} {spec.name!r}")
     return spec
 
 

@@ -12,15 +12,14 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
 import pluggy
 
-from roboneuron.errors import ConfigurationError, PluginError
+from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
 from roboneuron.plugins import availability, hookspecs
-from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec, is_compatible
 from roboneuron.plugins.hookspecs import PROJECT, Hooks
 from roboneuron.plugins.registry import SEVERITY, Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
@@ -66,7 +65,7 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
             continue
         try:
             hooks = hooks.extended(_bringing_hooks(claim))
-        except PluginError as error:
+        except RoboNeuronError as error:
             records.append(_record(claim, Status.FAILED, str(error), _trace(error)))
         else:
             waiting.append(claim)
@@ -80,7 +79,7 @@ def known_hooks() -> Hooks:
     for point in entry_points(group=PROJECT):
         try:
             hooks = hooks.extended(_bringing_hooks(_identify(point)))
-        except PluginError:
+        except RoboNeuronError:
             continue
     return hooks
 
@@ -92,7 +91,8 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
             module = claim.point.load()
             offers = [getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")]
             offered = [spec for offer in offers for spec in offer()]
-        return tuple(s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
+        bringing = (s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
+        return tuple(s for s in bringing if TARGET_PATTERN.fullmatch(str(s.hooks)))
     except (Exception, SystemExit):
         return ()
 
@@ -114,9 +114,8 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     wanted = {_normalise(name): name for name in disabled}
     for normal, name in wanted.items():
         if normal not in known:
-            close = get_close_matches(normal, known, n=1)
-            nearest = f"Did you mean {close[0]!r}?" if close else f"Installed: {', '.join(sorted(known)) or 'none'}."
-            raise ConfigurationError(f"The disabled plugin {name!r} is not installed.", hint=nearest)
+            hint = nearest(normal, known, f"Installed: {', '.join(sorted(known)) or 'none'}.")
+            raise ConfigurationError(f"The disabled plugin {name!r} is not installed.", hint=hint)
     return set(wanted)
 
 
@@ -184,8 +183,7 @@ def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
         if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))) or hasattr(value, _SPEC_MARK):
             continue
         if name not in hooks:
-            close = get_close_matches(name, hooks, n=1, cutoff=0.0)[0]
-            raise PluginError(f"{module.__name__}.{name} is no hook; did you mean {close}?")
+            raise PluginError(f"{module.__name__}.{name} is no hook. {nearest(name, hooks, likeness=0.0)}")
         if not marked:
             raise PluginError(
                 f"{module.__name__}.{name} is not decorated, expected @hookimpl from roboneuron.plugins.hookspecs."

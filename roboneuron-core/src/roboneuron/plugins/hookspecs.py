@@ -9,13 +9,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from types import ModuleType
 
 import pluggy
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.descriptor import NAME_PATTERN, TARGET_PATTERN
+from roboneuron.plugins.descriptor import NAME_PATTERN
+from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import (
     KINDS,
     AccelerationSpec,
@@ -144,41 +144,29 @@ class Hooks:
         """These hooks and those that features and commands bring.
 
         Raises:
-            PluginError: their `hooks` cannot be imported, is no mapping from hook names to descriptor classes,
-                or claims a hook or a kind that is there already.
+            PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping from hook names to
+                descriptor classes, or claims a hook or a kind that is there already.
         """
         specs, containers = dict(self.specs), list(self.containers)
         for bringer in bringing:
             if bringer.hooks is None:
                 continue
-            who = f"{bringer.kind.capitalize()} {bringer.name!r}"
-            module, brought = _load(bringer)
+            who = f"`hooks` of {bringer.kind} {bringer.name!r}"
+            brought = load_attribute(bringer.hooks, who)
+            if not isinstance(brought, Mapping) or not all(_is_entry(hook, spec) for hook, spec in brought.items()):
+                raise PluginError(
+                    f"The {who} are {brought!r}, expected a mapping from hook names to descriptor classes."
+                )
+            module = sys.modules[bringer.hooks.partition(":")[0]]
             known = {spec.kind for spec in specs.values()}
             for hook, spec in brought.items():
                 if hook in specs or spec.kind in known:
-                    raise PluginError(f"{who} brings the hook {hook}, which is there already.")
+                    raise PluginError(f"The {who} bring the hook {hook}, which is there already.")
                 if not callable(getattr(module, hook, None)):
-                    raise PluginError(f"{who} names the hook {hook}, but does not specify it.")
+                    raise PluginError(f"The {who} name the hook {hook}, but do not specify it.")
                 specs[hook] = spec
             containers.append(module)
         return Hooks(specs=specs, containers=tuple(containers))
-
-
-def _load(bringer: FeatureSpec | CommandSpec) -> tuple[ModuleType, Mapping[str, type[Spec]]]:
-    assert bringer.hooks is not None
-    of = f"`hooks` of {bringer.kind} {bringer.name!r}"
-    if not TARGET_PATTERN.fullmatch(bringer.hooks):
-        raise PluginError(f"The {of} is {bringer.hooks!r}, expected 'module:attribute'.")
-    name, _, attribute = bringer.hooks.partition(":")
-    who = f"{of} ({bringer.hooks})"
-    try:
-        module = import_module(name)
-        brought = getattr(module, attribute)
-    except Exception as error:  # the border to a plugin's own code
-        raise PluginError(f"The {who} cannot be loaded: {type(error).__name__}: {error}") from error
-    if not isinstance(brought, Mapping) or not all(_is_entry(hook, spec) for hook, spec in brought.items()):
-        raise PluginError(f"The {who} are {brought!r}, expected a mapping from hook names to descriptor classes.")
-    return module, brought
 
 
 def _is_entry(hook: object, spec: object) -> bool:

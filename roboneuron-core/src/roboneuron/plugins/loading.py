@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from datetime import time as clock_time
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_args
 
-from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
+from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError, nearest
 from roboneuron.plugins import availability
 from roboneuron.plugins.specs import DriverSpec, Spec
 
@@ -54,9 +53,8 @@ def load_attribute(reference: str, who: str) -> object:
         try:
             value = getattr(value, part)
         except AttributeError as error:
-            close = get_close_matches(part, dir(value), n=1)
-            nearest = f"; did you mean {close[0]!r}?" if close else "."
-            raise PluginError(f"The {who} is {reference!r}, but there is no attribute {part!r}{nearest}") from error
+            hint = nearest(part, dir(value))
+            raise PluginError(f"The {who} is {reference!r}, but there is no attribute {part!r}.", hint=hint) from error
     return value
 
 
@@ -97,7 +95,8 @@ def load_options(
             raise ConfigurationError(f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options.")
         return None
     valid = [field.alias or name for name, field in model.model_fields.items()]
-    unknown = [_explain_unknown(f"{place}.{key}", key, valid) for key in options if key not in valid]
+    listed = f"Valid are: {', '.join(sorted(valid)) or 'none'}."
+    unknown = [f"{place}.{key} is unknown. {nearest(key, valid, listed)}" for key in options if key not in valid]
     if unknown:
         raise ConfigurationError(" ".join(unknown))
     from pydantic import ValidationError  # heavy
@@ -111,10 +110,19 @@ def load_options(
         raise ConfigurationError(explained) from error
 
 
-def _explain_unknown(path: str, key: str, valid: list[str]) -> str:
-    close = get_close_matches(key, valid, n=1)
-    nearest = f"did you mean {close[0]!r}?" if close else f"valid are: {', '.join(sorted(valid)) or 'none'}."
-    return f"{path} is unknown; {nearest}"
+def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """The fields of the table at `path` below a model, numbers being places in lists; none when there is no table."""
+    table: Any = model
+    for part in path:
+        if isinstance(part, int):
+            continue
+        field = table.model_fields.get(part)
+        kinds = [] if field is None else [field.annotation, *get_args(field.annotation)]
+        kinds += [inner for kind in kinds for inner in get_args(kind)]
+        table = next((kind for kind in kinds if hasattr(kind, "model_fields")), None)
+        if table is None:
+            return []
+    return [name for name, field in table.model_fields.items() if not field.exclude]
 
 
 def _explain(error: ValidationError, place: str, is_partial: bool) -> str:

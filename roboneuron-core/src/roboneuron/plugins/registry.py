@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Literal, overload
+from typing import TypeVar, overload
 
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, package_of
-from roboneuron.plugins.specs import (
-    KINDS,
-    AccelerationSpec,
-    BackendSpec,
-    CommandSpec,
-    ControllerSpec,
-    FeatureSpec,
-    PerceptionSpec,
-    RobotSpec,
-    RuntimeSpec,
-    Spec,
-)
+from roboneuron.plugins.specs import KINDS, Spec
+
+S = TypeVar("S", bound=Spec)
 
 
 class Status(StrEnum):
@@ -100,44 +90,26 @@ class Registry:
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     @overload
-    def specs(self, kind: Literal["runtime"]) -> Mapping[str, RuntimeSpec]: ...
-    @overload
-    def specs(self, kind: Literal["acceleration"]) -> Mapping[str, AccelerationSpec]: ...
-    @overload
-    def specs(self, kind: Literal["robot"]) -> Mapping[str, RobotSpec]: ...
-    @overload
-    def specs(self, kind: Literal["feature"]) -> Mapping[str, FeatureSpec]: ...
+    def specs(self, kind: type[S]) -> Mapping[str, S]: ...
     @overload
     def specs(self, kind: str) -> Mapping[str, Spec]: ...
-    def specs(self, kind: str) -> Mapping[str, Spec]:
-        """The usable descriptors of `kind` by name, sorted; raises ConfigurationError for another kind."""
-        return MappingProxyType({o.spec.name: o.spec for o in self.offers(kind) if o.status is Status.READY})
+    def specs(self, kind: str | type[Spec]) -> Mapping[str, Spec]:
+        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError for another kind."""
+        offers = self.offers(kind if isinstance(kind, str) else kind.kind)
+        return MappingProxyType({o.spec.name: o.spec for o in offers if o.status is Status.READY})
 
     @overload
-    def get(self, kind: Literal["backend"], name: str) -> BackendSpec: ...
-    @overload
-    def get(self, kind: Literal["runtime"], name: str) -> RuntimeSpec: ...
-    @overload
-    def get(self, kind: Literal["acceleration"], name: str) -> AccelerationSpec: ...
-    @overload
-    def get(self, kind: Literal["perception"], name: str) -> PerceptionSpec: ...
-    @overload
-    def get(self, kind: Literal["controller"], name: str) -> ControllerSpec: ...
-    @overload
-    def get(self, kind: Literal["robot"], name: str) -> RobotSpec: ...
-    @overload
-    def get(self, kind: Literal["feature"], name: str) -> FeatureSpec: ...
-    @overload
-    def get(self, kind: Literal["command"], name: str) -> CommandSpec: ...
+    def get(self, kind: type[S], name: str) -> S: ...
     @overload
     def get(self, kind: str, name: str) -> Spec: ...
-    def get(self, kind: str, name: str) -> Spec:
-        """The usable descriptor of that kind and name.
+    def get(self, kind: str | type[Spec], name: str) -> Spec:
+        """The usable descriptor of that kind (or class) and name.
 
         Raises:
             ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown), what the choices are
                 and what to do.
         """
+        kind = kind if isinstance(kind, str) else kind.kind
         ready = self.specs(kind)
         if name in ready:
             return ready[name]
@@ -154,33 +126,10 @@ class Registry:
                 f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} brings it.",
                 hint=f"Run: {install_command(package)}. {_choices(kind, ready)}{self._explain_absent_plugins()}",
             )
-        close = get_close_matches(name, ready, n=1)
-        nearest = f" Did you mean {close[0]!r}?" if close else ""
         raise ConfigurationError(
-            f"There is no {kind} {name!r}.{nearest}",
+            f"There is no {kind} {name!r}. {nearest(name, ready)}".rstrip(),
             hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
         )
-
-    def find(self, name: str, kind: str | None = None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
-        """The plugins that `name` means, each with the offers it means: all for a distribution, else those so called.
-
-        Raises:
-            ConfigurationError: nothing (of that kind) has the name; names the nearest.
-        """
-        found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
-        names: set[str] = set()
-        for record in self.plugins:
-            offers = tuple(o for o in record.offers if kind is None or o.spec.kind == kind)
-            named = offers if record.distribution == name else tuple(o for o in offers if o.spec.name == name)
-            names |= {record.distribution, *(o.spec.name for o in offers)}
-            if named or record.distribution == name:
-                found.append((record, named))
-        if not found:
-            close = get_close_matches(name, names, n=1)
-            nearest = f"Did you mean {close[0]!r}?" if close else "See `roboneuron plugins list`."
-            of_kind = f" of kind {kind}" if kind else ""
-            raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=nearest)
-        return found
 
     def _explain_absent_plugins(self) -> str:
         """Plugins whose offers are unknown because they did not load: one of them may hold what is sought."""
@@ -199,6 +148,5 @@ def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
 
 def _check_kind(kind: str, kinds: Mapping[str, type[Spec]]) -> None:
     if kind not in kinds:
-        close = get_close_matches(kind, kinds, n=1)
-        nearest = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigurationError(f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}.{nearest}")
+        message = f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}."
+        raise ConfigurationError(message, hint=nearest(kind, kinds))

@@ -9,34 +9,31 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import anyio
 from anyio import to_thread
 from mcp import types
 from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
-from mcp.server.subscriptions import ListenHandler
 
 from roboneuron import __version__
 from roboneuron.config import Config
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of, watching
-from roboneuron.server.asking import QuestionError, Questions
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.emergency import SafetyReports
 from roboneuron.server.events import Events
-from roboneuron.server.features import Features
+from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.motion.path import DirectPath
-from roboneuron.server.notices import ToolNotices
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
-from roboneuron.server.tool import Stage
+from roboneuron.server.tool import Stage, UnfinishedCallError
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -68,29 +65,31 @@ interfaces directly; while a policy runs, it alone moves the robot. emergency_st
 ends all."""
 
 
-CHANGES = NotificationOptions(tools_changed=True)
-"""What clients are told about that changes while they are connected."""
+class AnnouncingServer(Server[Any]):
+    """Announces the same on every transport: over HTTP the SDK asks for no options.
 
+    Attributes:
+        announced: of which changes clients are told while they are connected; set by the feature that tells them.
+    """
 
-class _Server(Server[Any]):
-    """Announces the same changes on every transport: over HTTP the SDK asks for no options."""
+    announced = NotificationOptions()
 
     def create_initialization_options(
         self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
     ) -> Any:
         """See Server."""
-        return super().create_initialization_options(notification_options or CHANGES, *arguments, **named)
+        return super().create_initialization_options(notification_options or self.announced, *arguments, **named)
 
 
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
     def __init__(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, questions: Questions
+        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, features: Features
     ) -> None:
         self._request = request
         self._params = params
-        self._questions = questions
+        self._features = features
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
@@ -111,7 +110,7 @@ class RequestContext:
 
     async def ask(self, question: str) -> bool | None:
         """See `CallContext.ask`."""
-        return await self._questions.ask(self._request, self._params, question)
+        return await self._features.ask(self._request, self._params, question)
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
@@ -168,13 +167,12 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
-        self.notices = ToolNotices()
         reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
         self._watch = Watch(reports.look, self.events.health.tell)
         self._diagnostics = HealthDiagnostics(self.supervisor)
-        self.events.health.listen(lambda view, before, health: self.notices.resource_updated(STATUS_URI))
+        self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
         self.events.health.listen(self._diagnostics.publish)
-        self.events.fault.listen(lambda module, what, facts: self.notices.resource_updated(STATUS_URI))
+        self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
         self.direct = DirectPath(self.loop)
         self.tools = ToolRegistry(
             [
@@ -184,16 +182,27 @@ class Application:
             ],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
-            on_change=self.notices.tools_changed,
             on_call=self.events.call.tell,
+            on_change=self.events.tools.tell,
         )
-        self.host = Host(self)
+        self.server = self._build(config.server.name)
+        self.host = Host(
+            loop=self.loop,
+            supervisor=self.supervisor,
+            gate=self.direct.lent,
+            audit=self.loop.emergency_stop.audit,
+            server=self.server,
+            features=self.features,
+            tools=self.tools,
+            events=self.events,
+            started_s=self.started_s,
+            check_resource=lambda uri: self.resources.check(uri),
+            end_motion=self.end_motion,
+        )
         self.events.change.listen(self._on_module)
         offered = self.features.offer(self.host, self.tools)
         self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
-        self._questions = Questions()
-        self.server = self._build(config.server.name)
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
@@ -244,19 +253,18 @@ class Application:
             except RoboNeuronError as error:
                 log.error("What the robot offers cannot be exposed: %s", error)
 
-    def _build(self, name: str) -> Server[Any]:
+    def _build(self, name: str) -> AnnouncingServer:
         async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
-            self.notices.remember(context)
             return types.ListToolsResult(tools=self.tools.listing(holder_of(context.request).role))
 
         async def call_tool(
             context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
         ) -> types.CallToolResult | types.InputRequiredResult:
             try:
-                made = RequestContext(context, params, self._questions)
+                made = RequestContext(context, params, self.features)
                 return await self.tools.call(params.name, params.arguments or {}, made)
-            except QuestionError as question:
-                return question.result
+            except UnfinishedCallError as question:
+                return cast(types.InputRequiredResult, question.result)
 
         async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
             return types.ListResourcesResult(resources=self.resources.listing())
@@ -266,16 +274,7 @@ class Application:
         ) -> types.ReadResourceResult:
             return types.ReadResourceResult(contents=[self.resources.read(str(params.uri))])
 
-        async def subscribe(context: ServerRequestContext[Any, Any], params: types.SubscribeRequestParams) -> Any:
-            self.resources.check(str(params.uri))
-            self.notices.subscribe(context, str(params.uri))
-            return types.EmptyResult()
-
-        async def unsubscribe(context: ServerRequestContext[Any, Any], params: types.UnsubscribeRequestParams) -> Any:
-            self.notices.unsubscribe(context, str(params.uri))
-            return types.EmptyResult()
-
-        return _Server(
+        return AnnouncingServer(
             name,
             version=__version__,
             instructions=INSTRUCTIONS,
@@ -283,7 +282,4 @@ class Application:
             on_call_tool=call_tool,
             on_list_resources=list_resources,
             on_read_resource=read_resource,
-            on_subscribe_resource=subscribe,
-            on_unsubscribe_resource=unsubscribe,
-            on_subscriptions_listen=ListenHandler(self.notices.bus),
         )

@@ -5,6 +5,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
+from pydantic import ValidationError
+from pydantic_core import from_json
+
 INVALID_JSON, INVALID_REQUEST, BUSY = -32700, -32600, -32000
 """Error codes. Source: JSON-RPC 2.0, section 5.1; the last is this server's own."""
 URGENT_TOOLS = frozenset({"emergency_stop"})
@@ -26,16 +30,12 @@ class EnvelopeError(Exception):
         return json.dumps({"jsonrpc": "2.0", "id": self.request_id, "error": self.error})
 
 
-def read_message(data: bytes) -> Any:
+def read_message(data: bytes) -> JSONRPCMessage:
     """One JSON-RPC message, as the SDK's model.
 
     Raises:
         EnvelopeError: not UTF-8, not JSON, a batch, or no request, notification or response with a valid id.
     """
-    from mcp.types import jsonrpc_message_adapter  # heavy
-    from pydantic import ValidationError
-    from pydantic_core import from_json
-
     try:
         data.decode("utf-8")  # the parser below would let some of what is not UTF-8 pass as text
         raw = from_json(data)

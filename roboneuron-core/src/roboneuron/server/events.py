@@ -42,6 +42,8 @@ class Events:
         health: the health of a module changed at most 30 ms ago; the module, how it was, and how it is.
         change: a module started, stopped or ended by itself.
         stop: a module is about to be stopped because somebody asked for it.
+        tools: the tools that are listed changed; told from any thread.
+        resource: the content of the resource with that URI changed; told from any thread.
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a word for the fault,
             and facts that JSON can hold.
         decision: the gate or the emergency stop of this process wrote a record; on the thread that asked.
@@ -55,6 +57,8 @@ class Events:
         self.health: Event[[ModuleView, Health, Health]] = Event()
         self.change: Event[[ModuleKind]] = Event()
         self.stop: Event[[ModuleKind]] = Event()
+        self.tools: Event[[]] = Event()
+        self.resource: Event[[str]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
         self.decision: Event[[AuditRecord]] = Event()
         self.call: Event[[str, Mapping[str, Any], str, str, float]] = Event()

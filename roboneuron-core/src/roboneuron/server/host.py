@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from roboneuron.errors import StateError
 
 if TYPE_CHECKING:
-    from mcp.server import Server
-
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
     from roboneuron.plugins.registry import Registry
-    from roboneuron.server.app import Application
+    from roboneuron.server.app import AnnouncingServer
     from roboneuron.server.events import Events
+    from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
     from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
@@ -39,74 +39,58 @@ F = TypeVar("F")
 M = TypeVar("M")
 
 
+@dataclass(frozen=True, kw_only=True)
 class Host:
     """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
 
     Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as for every caller.
+
+    Attributes:
+        loop: the closed loop: start, steer and stop modules; read what they report.
+        supervisor: the processes of the modules.
+        gate: in front of everything that moves a robot: sends what it allows, and lends no publisher.
+        audit: the audit log.
+        server: the MCP server that every transport serves.
+        features: all features of this server.
+        tools: all tools by name, for features that add or remove some while the server runs.
+        events: what happens, for listeners.
+        started_s: monotonic time of the server's start [s].
+        check_resource: raises MCPError unless there is a resource of that URI.
+        end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot any more; returns
+            after at most so many seconds.
     """
 
-    def __init__(self, application: Application) -> None:
-        self._application = application
+    loop: ClosedLoop
+    supervisor: Supervisor
+    gate: MotionGate
+    audit: AuditLog
+    server: AnnouncingServer
+    features: Features
+    tools: ToolRegistry
+    events: Events
+    started_s: float
+    check_resource: Callable[[str], None]
+    end_motion: Callable[[str, float], None]
 
     @property
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
-        return self._application.loop.config
+        return self.loop.config
 
     @property
     def registry(self) -> Registry:
         """The installed plugins."""
-        return self._application.plugins.current()
-
-    @property
-    def loop(self) -> ClosedLoop:
-        """The closed loop: start, steer and stop modules; read what they report."""
-        return self._application.loop
-
-    @property
-    def supervisor(self) -> Supervisor:
-        """The processes of the modules."""
-        return self._application.supervisor
-
-    @property
-    def gate(self) -> MotionGate:
-        """The gate in front of everything that moves a robot: sends what it allows, and lends no publisher."""
-        return self._application.direct.lent
-
-    @property
-    def audit(self) -> AuditLog:
-        """The audit log."""
-        return self._application.loop.emergency_stop.audit
-
-    @property
-    def server(self) -> Server[Any]:
-        """The MCP server that every transport serves."""
-        return self._application.server
+        return self.loop.plugins.current()
 
     @property
     def identifies_clients(self) -> bool:
         """Whether a feature tells clients apart by what they alone know, such as a token."""
-        return self._application.features.identifies_clients
-
-    @property
-    def tools(self) -> ToolRegistry:
-        """All tools by name, for features that add or remove some while the server runs."""
-        return self._application.tools
-
-    @property
-    def events(self) -> Events:
-        """What happens, for listeners."""
-        return self._application.events
+        return self.features.identifies_clients
 
     @property
     def state_directory(self) -> Path:
         """Where files that outlive the server are kept."""
-        return self._application.supervisor.state_directory
-
-    @property
-    def started_s(self) -> float:
-        """Monotonic time of the server's start [s]."""
-        return self._application.started_s
+        return self.supervisor.state_directory
 
     @property
     def graph(self) -> GraphNode:
@@ -141,21 +125,13 @@ class Host:
         qos = requested_qos(link.node.get_publishers_info_by_topic(place), depth, latched=latched)
         return link.subscribe(message_type, place, callback, qos)
 
-    def resource_updated(self, uri: str) -> None:
-        """Tell clients that subscribed to a resource that it changed."""
-        self._application.notices.resource_updated(uri)
-
-    def end_motion(self, reason: str, timeout_s: float = 2.0) -> None:
-        """End every motion, and the policy: nobody looks after the robot any more."""
-        self._application.end_motion(reason, timeout_s)
-
     def feature(self, name: str, kind: type[F]) -> F:
         """Another feature that this one `needs`, of the class `kind`.
 
         Raises:
             StateError: there is none, or it is of another class.
         """
-        found = self._application.features.get(name)
+        found = self.features.get(name)
         if not isinstance(found, kind):
             raise StateError(f"There is no feature {name!r} here.", hint="Name it in `needs` of the descriptor.")
         return found

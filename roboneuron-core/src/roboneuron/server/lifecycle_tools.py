@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -43,7 +43,7 @@ class SetInstruction(Arguments):
 def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """All tools of the closed loop, in the order in which an agent uses them."""
     return [
-        *start_tools(loop),
+        *(_start_tool(loop, entry) for entry in KINDS.values()),
         _set_instruction(loop),
         *(_stop_tool(loop, KINDS[kind]) for kind in MODULE_KINDS),
         _stop_all(loop),
@@ -109,16 +109,6 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     )
 
 
-def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
-    """One for each kind of module, in their usual order."""
-    return [_start_tool(loop, entry) for entry in KINDS.values()]
-
-
-def plugin_choices(loop: ClosedLoop, entry: KindEntry) -> dict[str, Callable[[], dict[str, str]]]:
-    """The plugins that the arguments of a kind's tools can name."""
-    return {argument: partial(loop.plugins.choices, kind) for argument, kind in entry.choices.items()}
-
-
 def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     async def handler(request: Arguments, context: CallContext) -> StartResult:
         started_s = time.monotonic()
@@ -137,7 +127,7 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
         result=StartResult,
         handler=handler,
         open_world=True,
-        choices=plugin_choices(loop, entry),
+        choices={argument: partial(loop.plugins.choices, kind) for argument, kind in entry.choices.items()},
     )
 
 

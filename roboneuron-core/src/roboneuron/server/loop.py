@@ -4,30 +4,78 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import Selection, check_compatible, check_instruction, select
-from roboneuron.server.stream import ActionStream
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
-    from roboneuron.plugins.specs import RobotSpec
+    from roboneuron.ros.link import RosLink
 
 
 _PARAMETER_S = 5.0
+_KEPT_ACTIONS = 4096
 
 
 def ignore_stage(_: str) -> None:
     """No listener for the stages of a start."""
+
+
+class ActionStream:
+    """Listens to `/<namespace>/action` until it is closed.
+
+    Times are DDS source times [ns]: when the inference process sent the action, whatever the way to here took.
+    """
+
+    def __init__(self, link: RosLink, namespace: str) -> None:
+        from std_msgs.msg import Float64MultiArray  # heavy
+
+        from roboneuron.ros.qos import STATUS
+        from roboneuron.ros.topics import ACTION
+
+        self._lock = threading.Lock()
+        self._actions: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=_KEPT_ACTIONS)
+
+        def receive(message: Any, info: dict[str, Any]) -> None:
+            with self._lock:
+                self._actions.append((int(info["source_timestamp"]), tuple(message.data)))
+
+        topic = f"/{namespace}/{ACTION}"
+        # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
+        subscription = link.on_executor(
+            lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
+        )
+        self._end: Callable[[], object] = lambda: link.on_executor(lambda: link.node.destroy_subscription(subscription))
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._end()
+
+    def since(self, moment_ns: int) -> list[tuple[float, ...]]:
+        """Values of the actions sent at or after a moment."""
+        with self._lock:
+            return [values for sent_ns, values in self._actions if sent_ns >= moment_ns]
+
+    def newest(self, most: int) -> list[tuple[int, tuple[float, ...]]]:
+        """The newest actions: source time [ns] and values, oldest first."""
+        with self._lock:
+            return list(self._actions)[-most:]
+
+    def sent_ns(self) -> list[int]:
+        """When the actions that are kept were sent [ns], oldest first."""
+        with self._lock:
+            return [at for at, _ in self._actions]
 
 
 class ClosedLoop:
@@ -50,12 +98,7 @@ class ClosedLoop:
 
     def robot_spec(self) -> RobotSpec:
         """Descriptor of the present robot."""
-        return self.plugins.current().get("robot", self.config.robot.name)
-
-    def camera_roles(self) -> dict[str, str]:
-        """Camera name -> role of the present robot; empty when its plugin is gone."""
-        spec = self.plugins.current().specs("robot").get(self.config.robot.name)
-        return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
+        return self.plugins.current().get(RobotSpec, self.config.robot.name)
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
         """What a client with `role` asks for, or else what is configured, checked against what is installed and runs.

@@ -17,9 +17,8 @@ from mcp import types
 from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.gate.request import ADMIN
 from roboneuron.server.access import check_role, may_call
-from roboneuron.server.asking import QuestionError
 from roboneuron.server.schema import listed_output
-from roboneuron.server.tool import Answer, CallContext, Tool
+from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallError
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
@@ -135,7 +134,7 @@ class ToolRegistry:
             self._owned = {**self._owned, owner: entries}  # another thread may be reading the one before
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
-        """Validate, run, and answer; every failure is an MCP error result. Raises QuestionError, which is none."""
+        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError is none."""
         begun_s = time.monotonic()
         result = await self._answer(name, arguments, context)
         code = str((result.meta or {})[ERROR_META]["code"]) if result.is_error else ""
@@ -154,7 +153,7 @@ class ToolRegistry:
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", _short(name), error.code, _clipped(str(error)))
             return _failure(error)
-        except QuestionError:
+        except UnfinishedCallError:
             raise
         except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
             incident = uuid.uuid4().hex[:8]

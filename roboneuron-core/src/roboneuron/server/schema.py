@@ -6,13 +6,13 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache
-from typing import Any, Generic, TypeVar, get_args
+from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from roboneuron.errors import InvalidInputError
+from roboneuron.errors import InvalidInputError, nearest
+from roboneuron.plugins.loading import option_names
 
 Schema = dict[str, Any]
 M = TypeVar("M", bound=BaseModel)
@@ -176,7 +176,7 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     *outer, last = first["loc"] or ("",)
     path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return unknown_name(f"Argument {'.'.join(map(str, outer))!r}", str(last), _names_at(model, outer))
+        return unknown_name(f"Argument {'.'.join(map(str, outer))!r}", str(last), option_names(model, outer))
     if first["type"] == "missing":
         return InvalidInputError(f"Argument {path!r} is missing.", path=path)
     if first["type"] == "literal_error":
@@ -187,30 +187,17 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     return InvalidInputError(f"Argument {path!r} is {_short(first['input'])}, {what}.", path=path)
 
 
-def _names_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """Names of the fields of a model inside of another; empty when there is none."""
-    found: Any = model
-    for part in path:
-        field = getattr(found, "model_fields", {}).get(part)
-        found = next(iter(get_args(found)), None) if isinstance(part, int) else field.annotation if field else None
-    return list(getattr(found, "model_fields", {}))
-
-
 def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInputError:
     """The error for a name that `where` does not take, with the nearest one that it does."""
     text = str(name)[:60]
-    close = get_close_matches(text, valid, n=1)
-    hint = f"Did you mean {close[0]!r}?" if close else f"Valid: {', '.join(valid) or 'none'}."
+    hint = nearest(text, valid, f"Valid: {', '.join(valid) or 'none'}.")
     return InvalidInputError(f"{where} has no argument {text!r}.", hint=hint, path=text)
 
 
 def _no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
-    close = get_close_matches(str(value)[:60], allowed, n=1)
-    nearest = f" Did you mean {close[0]!r}?" if close else ""
     listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
-    return InvalidInputError(
-        f"Argument {path!r} is {_short(value)}.{nearest}", hint=f"Choose one of: {listed}.", path=path
-    )
+    message = f"Argument {path!r} is {_short(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
+    return InvalidInputError(message, hint=f"Choose one of: {listed}.", path=path)
 
 
 def _short(value: object) -> str:

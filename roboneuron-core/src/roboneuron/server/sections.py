@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from difflib import get_close_matches
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 
 from roboneuron.config import Config
@@ -13,6 +12,7 @@ from roboneuron.errors import (
     MissingDependencyError,
     PluginError,
     RoboNeuronError,
+    nearest,
 )
 from roboneuron.plugins.availability import install_command, known_names
 from roboneuron.plugins.loading import load_options, load_options_model
@@ -86,11 +86,10 @@ def _problems_of_name(place: str, name: str, registry: Registry) -> list[str]:
         if package.partition("[")[0] in silent:
             return []
         return [f"{place}: {name!r} is not installed. Run: {install_command(package)}."]
-    close = get_close_matches(name, {*installed, *ours}, n=1)
-    if not close and silent:
+    meant = nearest(name, {*installed, *ours})
+    if not meant and silent:
         return []  # one of those that did not load may have that name
-    nearest = f"Did you mean {close[0]!r}?" if close else f"Installed are: {', '.join(sorted(installed)) or 'none'}."
-    return [f"{place}: nothing is called {name!r}. {nearest}"]
+    return [f"{place}: nothing is called {name!r}. {meant or f'Installed are: {_listed(installed)}.'}"]
 
 
 def _problems_of_options(name: str, options: Mapping[str, object], registry: Registry) -> list[str]:
@@ -120,9 +119,12 @@ def _problems_of_entry(entry: str, name: str, option: str, registry: Registry) -
     first = option.partition(".")[0]
     if first in known:
         return []
-    close = get_close_matches(first, known, n=1)
-    nearest = f"Did you mean {name}.{close[0]}?" if close else f"Its options: {', '.join(sorted(known)) or 'none'}."
-    return [f"agent_options {entry!r}: {name!r} has no option {first!r}. {nearest}"]
+    meant = nearest(first, known, f"Its options: {_listed(known)}.")
+    return [f"agent_options {entry!r}: {name!r} has no option {first!r}. {meant}"]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
 
 
 def _readers(name: str, registry: Registry) -> Iterator[Spec | DriverSpec]:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from asyncio import get_running_loop
 from functools import partial
-from typing import Any, cast
 
 import anyio
 
@@ -56,7 +54,6 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
 
 
 async def _serve(application: Application, transport: Transport) -> None:
-    application.notices.attach(get_running_loop())
     leave = anyio.Event()
 
     async def leave_on_signal() -> None:
@@ -90,7 +87,6 @@ async def _serve_stdio(application: Application, wire: tuple[int, int], leave: a
         server = application.server
         reader.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        streams = cast(Any, reader), cast(Any, MessageWriter(writer, reader))
-        await server.run(*streams, server.create_initialization_options())
+        await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()

@@ -1,8 +1,7 @@
-"""Standard input and output as the MCP wire, and nothing else on it.
+"""Two descriptors as the MCP wire: messages in lanes, and lines out.
 
-The descriptors are moved away before anything is imported that might print: afterwards fd 1 is stderr and fd 0 is the
-null device, also for child processes and C++ libraries. Reading and writing happen on daemon threads, so that neither a
-silent nor a stuck client can keep the server from leaving.
+Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep the server from
+leaving.
 """
 
 from __future__ import annotations
@@ -17,6 +16,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from anyio import EndOfStream
+from anyio.abc import ObjectReceiveStream, ObjectSendStream
+from mcp.shared.dispatcher import coerce_request_id
+from mcp.shared.message import ServerMessageMetadata, SessionMessage
+from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCResponse
+
 from roboneuron.server.envelope import BUSY, INVALID_REQUEST, EnvelopeError, is_urgent, read_message, repeated
 
 MAX_LINE_BYTES = 16 * 1024 * 1024
@@ -28,20 +33,6 @@ _URGENT, _OTHER, _PING = 0, 1, 2
 _MOST_PINGS = 16
 _MOST_WAITING = 1000
 _MOST_WAITING_BYTES = 64 * 1024 * 1024
-
-
-def divert_standard_streams() -> tuple[int, int]:
-    """Move the wire to private descriptors (stdin, stdout), not inherited by children; call it once, first of all."""
-    wire_in = os.dup(0)
-    wire_out = os.dup(1)
-    os.set_inheritable(wire_in, False)
-    os.set_inheritable(wire_out, False)
-    null = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(null, 0)
-    os.close(null)
-    os.dup2(2, 1)
-    sys.stdout = sys.stderr
-    return wire_in, wire_out
 
 
 class LineWriter:
@@ -76,7 +67,7 @@ class LineWriter:
                 return
 
 
-class MessageReader:
+class MessageReader(ObjectReceiveStream[SessionMessage]):
     """The read stream of a stdio server: messages of a descriptor, until it ends.
 
     What is no message is answered here. So are requests whose id is still at work, and those that come while too many
@@ -100,7 +91,9 @@ class MessageReader:
         self._on_end = on_end
         self._most = {_PING: _MOST_PINGS, _OTHER: most}
         self._lock = threading.Lock()
-        self._waiting: dict[int, deque[tuple[Any, int]]] = {lane: deque() for lane in (_URGENT, _OTHER, _PING)}
+        self._waiting: dict[int, deque[tuple[JSONRPCMessage, int]]] = {
+            lane: deque() for lane in (_URGENT, _OTHER, _PING)
+        }
         self._waiting_bytes = 0
         self._ids: dict[int | str, int] = {}
         self._at_work = {_URGENT: 0, _OTHER: 0, _PING: 0}
@@ -113,23 +106,19 @@ class MessageReader:
         self._loop = asyncio.get_running_loop()
         threading.Thread(target=self._read, name="mcp-stdin", daemon=True).start()
 
-    async def receive(self) -> Any:
+    async def receive(self) -> SessionMessage:
         """The next message. Raises anyio.EndOfStream at the end."""
-        from anyio import EndOfStream
-        from mcp.shared.message import ServerMessageMetadata, SessionMessage
-
         while True:
             self._changed.clear()
             message = self._next()
-            if message is not None:
-                request_id = getattr(message, "id", None) if hasattr(message, "method") else None
-                if request_id is None:
-                    return SessionMessage(message)
+            if isinstance(message, JSONRPCRequest):
 
-                async def settled(request_id: int | str = request_id) -> None:
+                async def settled(request_id: int | str = message.id) -> None:
                     self.settle(request_id)
 
                 return SessionMessage(message, ServerMessageMetadata(on_request_unanswered=settled))
+            if message is not None:
+                return SessionMessage(message)
             if self._has_ended and not any(self._waiting.values()):
                 raise EndOfStream
             await self._changed.wait()
@@ -139,7 +128,7 @@ class MessageReader:
         if request_id is None:
             return
         with self._lock:
-            lane = self._ids.pop(_key(request_id), None)
+            lane = self._ids.pop(coerce_request_id(request_id), None)
             if lane is not None:
                 self._at_work[lane] -= 1
         self._changed.set()
@@ -149,31 +138,14 @@ class MessageReader:
         self._has_ended = True
         self._changed.set()
 
-    def __aiter__(self) -> MessageReader:
-        return self
-
-    async def __anext__(self) -> Any:
-        from anyio import EndOfStream
-
-        try:
-            return await self.receive()
-        except EndOfStream:
-            raise StopAsyncIteration from None
-
-    async def __aenter__(self) -> MessageReader:
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        await self.aclose()
-
-    def _next(self) -> Any:
+    def _next(self) -> JSONRPCMessage | None:
         """The next message that may be worked on, or None."""
         with self._lock:
             for lane, waiting in self._waiting.items():
                 if waiting and self._at_work[lane] < self._most.get(lane, sys.maxsize):
                     message, size = waiting.popleft()
                     self._waiting_bytes -= size
-                    if _is_request(message):
+                    if isinstance(message, JSONRPCRequest):
                         self._at_work[lane] += 1
                     return message
         return None
@@ -218,13 +190,13 @@ class MessageReader:
         except EnvelopeError as error:
             self._answer(error.answer)
 
-    def _add(self, message: Any, size: int) -> None:
+    def _add(self, message: JSONRPCMessage, size: int) -> None:
         method, params = getattr(message, "method", ""), getattr(message, "params", None)
         lane = _URGENT if is_urgent(method, params) else _PING if method == "ping" else _OTHER
         if method == "notifications/cancelled":
             self._drop((params or {}).get("requestId"))
-        if _is_request(message):
-            key = _key(message.id)
+        if isinstance(message, JSONRPCRequest):
+            key = coerce_request_id(message.id)
             if key in self._ids:
                 raise repeated(message.id)
             if len(self._waiting[lane]) >= _MOST_WAITING or self._waiting_bytes + size > _MOST_WAITING_BYTES:
@@ -235,14 +207,15 @@ class MessageReader:
 
     def _drop(self, request_id: Any) -> None:
         """A request that still waits is cancelled: it will not be worked on, nor answered."""
-        if not isinstance(request_id, int | str) or self._ids.get(_key(request_id)) is None:
+        if not isinstance(request_id, int | str):
             return
+        key = coerce_request_id(request_id)
         for waiting in self._waiting.values():
             for entry in waiting:
-                if _is_request(entry[0]) and _key(entry[0].id) == _key(request_id):
+                if isinstance(entry[0], JSONRPCRequest) and coerce_request_id(entry[0].id) == key:
                     waiting.remove(entry)
                     self._waiting_bytes -= entry[1]
-                    del self._ids[_key(request_id)]
+                    del self._ids[key]
                     return
 
     def _wake(self) -> None:
@@ -252,36 +225,19 @@ class MessageReader:
                 loop.call_soon_threadsafe(self._changed.set)
 
 
-class MessageWriter:
+class MessageWriter(ObjectSendStream[SessionMessage]):
     """The write stream of a stdio server; tells the reader which requests were answered."""
 
     def __init__(self, lines: LineWriter, reader: MessageReader) -> None:
         self._lines = lines
         self._reader = reader
 
-    async def send(self, item: Any) -> None:
+    async def send(self, item: SessionMessage) -> None:
         """Write one message."""
         message = item.message
         self._lines.write(message.model_dump_json(by_alias=True, exclude_unset=True))
-        if not hasattr(message, "method"):
+        if isinstance(message, JSONRPCResponse | JSONRPCError):
             self._reader.settle(message.id)
 
     async def aclose(self) -> None:
         """The lines are closed by whoever opened them."""
-
-    async def __aenter__(self) -> MessageWriter:
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        await self.aclose()
-
-
-def _is_request(message: Any) -> bool:
-    return hasattr(message, "method") and hasattr(message, "id")
-
-
-def _key(request_id: int | str) -> int | str:
-    """The SDK takes "7" and 7 for one id."""
-    from mcp.shared.dispatcher import coerce_request_id
-
-    return coerce_request_id(request_id)

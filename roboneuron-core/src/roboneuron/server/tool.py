@@ -60,6 +60,18 @@ class Answer:
     pictures: tuple[Picture, ...] = ()
 
 
+class UnfinishedCallError(Exception):
+    """Not a failure: ends a call with a question to the client's person, whose answer comes with the next call.
+
+    Attributes:
+        result: an `mcp.types.InputRequiredResult`.
+    """
+
+    def __init__(self, result: Any) -> None:
+        super().__init__("a person is asked")
+        self.result = result
+
+
 class CallContext(Protocol):
     """What a tool may do besides returning.
 

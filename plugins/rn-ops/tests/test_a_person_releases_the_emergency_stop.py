@@ -15,6 +15,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_ops.plugin import CLIENTS
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
@@ -35,7 +36,7 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     made: list[Application] = []
 
     def make(more: str = "") -> Application:
-        registry = fake_registry()
+        registry = fake_registry(CLIENTS)
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n[server]\n{more}'),
             plugins=PluginCatalogue(discover=lambda disabled: registry),

@@ -42,15 +42,12 @@ class ToolNotices:
 
     def subscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
         """A client of an older revision wants to know when the resource `uri` changes; called on the event loop."""
+        self._loop = asyncio.get_running_loop()
         self._subscribers.setdefault(uri, {})[id(request.session)] = request.session
 
     def unsubscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
         """It does not want to any more."""
         self._subscribers.get(uri, {}).pop(id(request.session), None)
-
-    def attach(self, loop: asyncio.AbstractEventLoop) -> None:
-        """The event loop that clients are served on."""
-        self._loop = loop
 
     def resource_updated(self, uri: str) -> None:
         """Tell those who want to know; callable from any thread."""

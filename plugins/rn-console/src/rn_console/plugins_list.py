@@ -1,4 +1,4 @@
-"""List the installed plugins, what they offer, and what to do about each that is not ready."""
+"""The command `roboneuron plugins list`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import sys
 import textwrap
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from pathlib import Path
 
+from rn_console.chosen_plugins import add_config, read_disabled
 from roboneuron import __version__
 from roboneuron.plugins.availability import START, install_command
 from roboneuron.plugins.discovery import discover
@@ -33,49 +33,27 @@ _NARROWEST = 24
 """Columns a summary gets even on a terminal too narrow for it."""
 
 
-def configure(parser: ArgumentParser) -> None:
-    """Add the arguments of `roboneuron plugins list`."""
-    add_config(parser)
-    parser.add_argument("--json", action="store_true", help="machine-readable, see docs/reference/plugins-list.md")
-    parser.add_argument(
-        "--strict", action="store_true", help="exit with 1 unless every plugin that is not disabled is ready"
-    )
+class PluginsList:
+    """List the installed plugins, what they offer, and what to do about each that is not ready."""
 
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron plugins list`."""
+        add_config(parser)
+        parser.add_argument("--json", action="store_true", help="machine-readable, see docs/reference/plugins-list.md")
+        parser.add_argument(
+            "--strict", action="store_true", help="exit with 1 unless every plugin that is not disabled is ready"
+        )
 
-def add_config(parser: ArgumentParser) -> None:
-    """Add --config, for `read_disabled`."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply")
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron plugins list`."""
+        registry = discover(read_disabled(arguments.config))
+        if arguments.json:
+            import json
 
-
-def run(arguments: Namespace) -> int:
-    """Run `roboneuron plugins list`."""
-    registry = discover(read_disabled(arguments.config))
-    if arguments.json:
-        import json
-
-        print(json.dumps(to_document(registry), indent=2))
-    else:
-        print_table(registry)
-    return 1 if arguments.strict and _troubled(registry) else 0
-
-
-def read_disabled(config: Path | None) -> tuple[str, ...]:
-    """`disabled_plugins` of a configuration file, read without the models that check the rest of it."""
-    if config is None:
-        return ()
-    import tomllib
-
-    from roboneuron.errors import ConfigurationError
-
-    try:
-        names = tomllib.loads(config.read_text(encoding="utf-8")).get("disabled_plugins", [])
-    except OSError as error:
-        raise ConfigurationError(f"{config} cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{config} is no valid TOML: {error}.") from error
-    if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
-        raise ConfigurationError(f"disabled_plugins in {config} is {names!r}, expected a list of distribution names.")
-    return tuple(names)
+            print(json.dumps(to_document(registry), indent=2))
+        else:
+            print_table(registry)
+        return 1 if arguments.strict and _troubled(registry) else 0
 
 
 def _troubled(registry: Registry) -> tuple[PluginRecord, ...]:

@@ -16,6 +16,8 @@ from mcp.server.context import ServerRequestContext
 from mcp.shared.exceptions import MCPError
 from mcp_types.version import is_version_at_least
 
+from roboneuron.server.tool import UnfinishedCallError
+
 _ASKED_IN_RESULT = "2026-07-28"
 _KEY, _FIELD = "confirm", "confirmed"
 _SCHEMA: dict[str, Any] = {
@@ -25,14 +27,6 @@ _SCHEMA: dict[str, Any] = {
 }
 _ANSWER_S = 300.0
 _MOST = 64
-
-
-class QuestionError(Exception):
-    """Not a failure: ends the call with a question to the client's person."""
-
-    def __init__(self, result: types.InputRequiredResult) -> None:
-        super().__init__("a person is asked")
-        self.result = result
 
 
 class Questions:
@@ -47,7 +41,7 @@ class Questions:
         """Whether a person agreed; None when the client cannot ask one, or nobody answered in time.
 
         Raises:
-            QuestionError: the question goes out with the answer to this call.
+            UnfinishedCallError: the question goes out with the answer to this call.
         """
         declared = request.session.client_capabilities
         elicitation = declared.elicitation if declared is not None else None
@@ -71,7 +65,7 @@ class Questions:
         self._open.append((ticket, text))
         form = types.ElicitRequestFormParams(message=text, requested_schema=_SCHEMA)
         question = types.ElicitRequest(params=form)
-        raise QuestionError(types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket))
+        raise UnfinishedCallError(types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket))
 
 
 def _agreed(answer: Any) -> bool:

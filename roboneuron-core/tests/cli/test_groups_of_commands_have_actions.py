@@ -1,0 +1,107 @@
+"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of an absent one."""
+
+from __future__ import annotations
+
+import pytest
+
+from roboneuron.cli.commands import named_command
+from roboneuron.cli.main import main
+from roboneuron.plugins.discovery import discover_from
+
+
+@pytest.fixture
+def only(site, monkeypatch):
+    """Makes the command line see the plugins of the test's site and no others."""
+
+    def discover(disabled=()):
+        from importlib.metadata import distributions
+
+        points = [p for d in distributions(path=[str(site.path)]) for p in d.entry_points if p.group == "roboneuron"]
+        return discover_from(points, disabled)
+
+    monkeypatch.setattr("roboneuron.cli.main.discover", discover)
+    return site
+
+
+CHECKER = """
+class Checker:
+    \"\"\"Check.\"\"\"
+    def configure(self, parser):
+        parser.add_argument("--config")
+        parser.add_argument("name")
+        parser.add_argument("--json", action="store_true")
+    def run(self, arguments):
+        print("checked", arguments.name, arguments.json, arguments.config)
+        return 1
+
+@hookimpl
+def roboneuron_commands():
+    return [CommandSpec(name="plugins-check", summary="checks", target="rn_kit_plugin:Checker")]
+"""
+
+
+def test_check_hands_its_words_over_to_the_command_of_a_plugin(only, tmp_path, capsys):
+    only.install("rn-kit", CHECKER)
+    config = tmp_path / "roboneuron.toml"
+    config.write_text("disabled_plugins = []\n")
+    assert main(["plugins", "--config", str(config), "check", "--json", "rn-kit"]) == 1
+    assert capsys.readouterr().out == f"checked rn-kit True {config}\n"
+    with pytest.raises(SystemExit):
+        main(["plugins", "check", "--help"])
+    assert "usage: roboneuron plugins check [-h]" in capsys.readouterr().out
+
+
+def test_check_without_such_a_plugin_says_what_to_install(only, capsys):
+    assert main(["plugins", "check", "rn-kit"]) == 2
+    error = capsys.readouterr().err
+    assert "the package rn-testing brings it" in error
+    assert "pip install ./plugins/rn-testing" in error
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (["new", "backend", "nod"], "rn-testing"),
+        (["call", "get_status"], "rn-console"),
+        (["tools"], "rn-console"),
+        (["config", "show"], "rn-console"),
+        (["config", "reference"], "rn-console"),
+        (["config", "check", "x.toml"], "rn-console"),
+        (["plugins", "list"], "rn-console"),
+        (["plugins", "show", "fr3"], "rn-console"),
+    ],
+)
+def test_a_command_that_is_not_installed_is_named_with_its_package(only, capsys, words, package):
+    assert main(words) == 2
+    assert f"the package {package} brings it" in capsys.readouterr().err
+
+
+def test_options_of_a_group_may_stand_before_its_action():
+    assert named_command(["plugins", "--config", "list", "show", "x"]) == ("plugins-show", ["--config", "list", "x"])
+    assert named_command(["plugins", "-v", "list"]) == ("plugins-list", ["-v"])
+    assert named_command(["serve", "--config", "list"]) == ("serve", ["--config", "list"])
+
+
+@pytest.mark.parametrize("words", [["plugins"], ["plugins", "--help"]])
+def test_a_group_without_an_action_lists_its_actions(only, capsys, words):
+    only.install("rn-kit", CHECKER)
+    try:
+        status = main(words)
+    except SystemExit as ended:
+        status = 0 if ended.code == 0 else 1
+    assert status == (0 if "--help" in words else 2)
+    shown = "".join(capsys.readouterr())
+    assert "plugins check  checks" in shown
+    assert "serve" not in shown
+
+
+def test_an_unknown_command_suggests_the_nearest(capsys):
+    assert main(["plugin"]) == 2
+    assert "Did you mean 'plugins'" in capsys.readouterr().err
+
+
+def test_help_lists_every_command_without_importing_it(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    assert "plugins list      list the installed plugins" in capsys.readouterr().out
