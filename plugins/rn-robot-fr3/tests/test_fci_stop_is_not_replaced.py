@@ -1,4 +1,4 @@
-"""A stop uses all of the acceleration; another motion that began within it would be a discontinuity to the robot."""
+"""A stop uses all of the acceleration, at which franka-sim aborts motions that are replaced: nothing replaces it."""
 
 from __future__ import annotations
 

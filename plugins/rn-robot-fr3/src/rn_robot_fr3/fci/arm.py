@@ -162,8 +162,8 @@ class FciArm:
     def stop(self) -> None:
         """Brake with the limits' acceleration and jerk, then end the control loop; returns at once.
 
-        What stops already is left alone. The robot tells the desired velocity as a difference of positions, half a
-        cycle old, so a new motion begins with up to half of the acceleration as a jump: too much at the full one.
+        What stops already is left alone: franka-sim aborts motions that are replaced at a high acceleration, and a stop
+        uses the highest.
         """
         if self.is_moving and not self._is_stopping:
             self._move(self._client.JointStopMotion())

@@ -22,7 +22,7 @@ class FciDriverOptions(BaseModel):
         default="required",
         description="required refuses a kernel without PREEMPT_RT, as libfranka does; ignored is for simulators.",
     )
-    # with 0.8 to 1.0 franka-sim aborted 30 of 75 motions that a stop replaced (acceleration discontinuity), with 0.5: 0
+    # with 0.8 to 1.0 franka-sim aborted 30 of 75 motions that a stop replaced (acceleration discontinuity); docs/fr3.md
     dynamics_factor: Annotated[float, ConfigurationOnly()] = Field(
         default=0.3,
         gt=0.0,
