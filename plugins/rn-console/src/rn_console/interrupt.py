@@ -9,8 +9,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def lasting_interrupt() -> Iterator[Callable[[], bool]]:
-    """A function that says whether Ctrl-C was pressed: Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback.
+    """A function that says whether Ctrl-C was pressed.
 
+    Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback.
     Source: docs.python.org, "Note on Signal Handlers and Exceptions".
     """
     pressed = False
