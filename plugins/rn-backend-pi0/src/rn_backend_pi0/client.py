@@ -14,7 +14,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from rn_backend_pi0.wire import Value, pack, unpack
 from roboneuron import ConfigurationError, NotReadyError
@@ -54,7 +55,7 @@ class PolicyClient:
         self._headers = {"Authorization": f"Api-Key {api_key}"} if api_key else {}
         parts = urlsplit(url)
         self._address = (parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80))
-        self._connection: ClientConnection | None = None
+        self._connection: Connection | None = None
         self._stack = ExitStack()
         self._closed = threading.Event()
         self.connections = 0
@@ -131,7 +132,7 @@ class PolicyClient:
         plain.settimeout(None)
         self._stack.callback(plain.close)
         # No keep-alive pings: the server's loop is blocked while it computes.
-        self._connection = self._stack.enter_context(
+        connection = self._connection = self._stack.enter_context(
             connect(
                 self._url,
                 sock=plain,
@@ -144,7 +145,7 @@ class PolicyClient:
                 proxy=None,
             )
         )
-        return self._decoded(self._connection.recv(timeout=max(0.0, deadline_s - time.monotonic())))
+        return self._decoded(connection.recv(timeout=max(0.0, deadline_s - time.monotonic())))
 
     def _decoded(self, frame: str | bytes) -> dict[Any, Any]:
         if isinstance(frame, str):

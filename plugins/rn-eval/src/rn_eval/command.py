@@ -170,6 +170,7 @@ def _serve(arguments: Namespace) -> int:
     from rn_eval.plan import EvalPlan
     from rn_eval.policy import load_backend
     from rn_eval.runner import refuse_early
+    from roboneuron import BackendSpec
     from roboneuron.plugins.discovery import discover
 
     plan = EvalPlan(
@@ -178,7 +179,7 @@ def _serve(arguments: Namespace) -> int:
     )  # fmt: skip
     refuse_early(plan)
     registry = discover()
-    spec = registry.get("backend", plan.backend)
+    spec = registry.get(BackendSpec, plan.backend)
     policy = load_backend(plan, registry, arguments.preset)
     server = ModelServer(policy, name=spec.name, roles=spec.cameras, needs_state=spec.needs_state)
 

@@ -91,7 +91,7 @@ def to_jpeg(message: bytes, quality: int) -> bytes | None:
     Raises:
         MessageError: it is damaged.
     """
-    import simplejpeg  # type: ignore[import-untyped]  # heavy
+    import simplejpeg  # heavy
 
     raw = parse_image(message)
     if raw.encoding not in _COLOURS:

@@ -55,7 +55,7 @@ class TasksFeature(Feature[TasksSections]):
         host.tools.add_admission(arbiter.admit)
         host.events.stop.listen(lambda kind: arbiter.end())
         host.events.open.listen(lambda: offer_prompts(host.server))
-        self._events = EventLog(self.options.events.kept, host.resource_updated)
+        self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
         approval = Approval(self.options.tasks)
         places = Places(host, self.options)

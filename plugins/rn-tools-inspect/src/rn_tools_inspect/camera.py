@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from roboneuron import Arguments, CallContext, Host, Picture, Reply, Result, RobotSpec, Tool
+from roboneuron import Arguments, CallContext, Host, Picture, Reply, Result, Tool
 from roboneuron.contract import Frame, frame_from_buffer
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError
 from roboneuron.supervisor.changes import Changes
@@ -46,11 +46,6 @@ def camera_tool(host: Host) -> Tool[Any]:
     async def get_camera_image(arguments: GetCameraImage, context: CallContext) -> Reply:
         return await context.run(lambda _: _answer(host, arguments))
 
-    def roles() -> dict[str, str]:
-        """Role by name of the present robot's cameras; empty when its plugin is gone."""
-        spec = host.registry.specs(RobotSpec).get(host.config.robot.name)
-        return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
-
     return Tool(
         name="get_camera_image",
         title="Look through a camera",
@@ -61,7 +56,7 @@ def camera_tool(host: Host) -> Tool[Any]:
         read_only=True,
         idempotent=True,
         open_world=True,
-        choices={"camera": roles},
+        choices={"camera": host.loop.camera_roles},
     )
 
 

@@ -100,6 +100,11 @@ class ClosedLoop:
         """Descriptor of the present robot."""
         return self.plugins.current().get(RobotSpec, self.config.robot.name)
 
+    def camera_roles(self) -> dict[str, str]:
+        """Camera name -> role of the present robot; empty when its plugin is gone."""
+        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
+
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
         """What a client with `role` asks for, or else what is configured, checked against what is installed and runs.
 
