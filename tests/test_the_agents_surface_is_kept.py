@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from roboneuron.config.reading import default_text
+
 DATA = Path(__file__).parent / "data"
 Listing = dict[str, dict[str, Any]]
 
@@ -32,9 +34,12 @@ def arguments(tool: dict[str, Any]) -> dict[str, object]:
 
 
 @pytest.fixture(scope="module")
-def now() -> Listing:
+def now(tmp_path_factory: pytest.TempPathFactory) -> Listing:
+    """Without the tools of packages that are installed beside the standard ones."""
+    config = tmp_path_factory.mktemp("standard") / "roboneuron.toml"
+    config.write_text(f'disabled_plugins = ["rn-recorder"]\n{default_text()}')
     done = subprocess.run(
-        [sys.executable, "-m", "roboneuron.cli.main", "tools", "--json"],
+        [sys.executable, "-m", "roboneuron.cli.main", "tools", "--json", "--config", str(config)],
         capture_output=True,
         text=True,
         timeout=120,
