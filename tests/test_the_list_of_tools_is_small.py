@@ -12,8 +12,8 @@ from roboneuron.server.app import Application
 
 MOST_BYTES = 40_000
 """Of the default configuration with the packages that `[standard]` and a robot bring; it was 106 kB."""
-OPTIONAL = ("rn-recorder",)
-"""Packages with tools that are installed beside the standard ones."""
+OPTIONAL = ("rn-recorder", "rn-eval-libero")
+"""Packages with tools or backends of their own that are installed beside the standard ones."""
 
 
 def test_the_list_of_tools_is_at_most_40_kb() -> None:
