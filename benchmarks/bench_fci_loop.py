@@ -112,8 +112,9 @@ def policy(cell: FciCell, minutes: float, seed: int) -> tuple[float, int]:
     dice, faults, rates, gaps = random.Random(seed), list[str](), list[float](), list[float]()
     cell.start_policy()
     began_s = time.monotonic()
+    end_s = began_s + 60.0 * minutes
     next_s, backend, failed = began_s + dice.uniform(*SWITCH_S), "sway", 0
-    while time.monotonic() < began_s + 60.0 * minutes:
+    while time.monotonic() < end_s:
         time.sleep(0.25)
         status(cell, faults, rates)
         if time.monotonic() < next_s:

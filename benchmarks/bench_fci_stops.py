@@ -112,7 +112,7 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
     """Trials until there are enough."""
     with served_fci(folder) as cell:
         cell.start("robot")
-        cell.move(CENTRE_RAD, 3.0).join()
+        cell.move(CENTRE_RAD, 3.0).join(60.0)
         ways = presses(cell)
         while len(rows) < trials:
             way = WAYS[len(rows) % len(WAYS)]

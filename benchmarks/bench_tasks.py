@@ -295,7 +295,7 @@ def main() -> int:
             if (seed, braking) not in known
         ]
         for job in as_completed(jobs):
-            lines.append(job.result())
+            lines.append(job.result(timeout=0))
             ledger.write(json.dumps(lines[-1]) + "\n")
             ledger.flush()
     return report(lines)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_ops.plugin import CLIENTS
 from rn_serve_http.plugin import FEATURE
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
@@ -77,7 +78,7 @@ def roboneuron_robots():
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
     """The fakes as installed plugins; no ROS is touched until something is started."""
-    registry = fake_registry(FEATURE)
+    registry = fake_registry(FEATURE, CLIENTS)
     application = Application(
         parse_config(MODULES.format(source="controlled")),
         plugins=PluginCatalogue(discover=lambda disabled: registry),

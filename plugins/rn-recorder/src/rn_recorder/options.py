@@ -16,9 +16,13 @@ class RecorderOptions(Section):
     record: bool = Field(default=False, description="a recording begins with the server; otherwise only the ring")
     directory: str | None = Field(default=None, description="of the runs; by default `runs` in the state directory")
     topics: tuple[str, ...] = Field(
-        default=("*", "/diagnostics"), description="patterns; without a slash in front under the robot's namespace"
+        default=("*", "/diagnostics"),
+        strict=False,
+        description="patterns; without a slash in front under the robot's namespace",
     )
-    exclude: tuple[str, ...] = Field(default=("*/transition_event",), description="patterns of what is left out")
+    exclude: tuple[str, ...] = Field(
+        default=("*/transition_event",), strict=False, description="patterns of what is left out"
+    )
     images: Literal["jpeg", "lossless"] = Field(
         default="jpeg", description="jpeg: small; lossless: the message itself, which an exact replay needs"
     )

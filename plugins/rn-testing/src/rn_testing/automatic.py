@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 from rn_testing.cases import CASES, Case
+from rn_testing.extension_cases import FeatureCase
 from roboneuron.errors import PluginError
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
-from roboneuron.plugins.specs import Spec
+from roboneuron.plugins.specs import FeatureSpec, Spec
 
 
 def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
@@ -19,6 +21,10 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
         PluginError: the descriptor's `case` cannot be imported, raises, or returns no case of this descriptor.
     """
     expected = CASES.get(spec.kind, Case)  # of a kind that another plugin has brought
+    if isinstance(spec, FeatureSpec) and spec.case is None:
+        installed = discover().specs(FeatureSpec)
+        needs = tuple(installed[name] for name in spec.needs if name in installed)
+        return FeatureCase(spec=spec, options=options, is_automatic=True, needs=needs)
     if spec.case is None:
         return expected(spec=spec, options=options, is_automatic=True)
     function = load_attribute(spec.case, f"`case` of {spec.name!r}")
