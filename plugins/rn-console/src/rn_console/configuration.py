@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, get_args, get_origin
 
 from rn_console.options import UNSET, describe_options
@@ -51,7 +51,7 @@ def feature_text() -> str:
     for spec, tables in _feature_tables():
         lines += ["", f"## {spec.summary}"]
         for heading, section in tables:
-            if heading.startswith("[["):
+            if heading.startswith("[[") or "<" in heading:
                 lines.append(f"## {heading}: tables of these keys")
                 lines += [f"## {option.key}: {option.meaning}" for option in describe_options(section)]
             else:
@@ -126,11 +126,15 @@ def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
     from pydantic import BaseModel
 
     for name, field in root.model_fields.items():
-        many = get_origin(field.annotation) in (tuple, list)
+        origin = get_origin(field.annotation)
         choices = (field.annotation, *get_args(field.annotation))
         section = next((c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)), None)
-        if section is not None:
-            yield f"[[{name}]]" if many else f"[{name}]", section
+        if section is None:
+            continue
+        if origin in (dict, Mapping):
+            yield f"[{name}.<name>]", section
+        else:
+            yield f"[[{name}]]" if origin in (tuple, list) else f"[{name}]", section
 
 
 def _page_table(heading: str, section: type[BaseModel]) -> list[str]:
