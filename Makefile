@@ -64,11 +64,16 @@ bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switc
 	.venv-fr3sim/bin/python -m pip install --quiet --disable-pip-version-check franka-sim==1.1.7 numpy==1.26.4
 	@touch $@
 
-eval-demo: $(VENV)/.develop ## the servo policy on 200 seeds, then by execution mode and latency: ledger, table, report
-	@echo "No learned policy is in the repository: this measures the classical policy 'servo', which has no pruning presets."
-	$(BIN)/roboneuron eval run --backend servo --episodes 200 --seed 10000 --workers $(JOBS) --out out/eval/servo $(ARGS)
-	$(BIN)/roboneuron eval run --backend servo --episodes 50 --seed 10000 --workers $(JOBS) --out out/eval/servo-latency \
-	  --execution sequential,overlap --latency 0 --latency 112ms --latency 250ms $(ARGS)
+eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV preset, then by execution mode and latency
+	rm -rf out/eval/policy
+	$(BIN)/roboneuron cubes-policy unpack out/eval/policy
+	$(BIN)/roboneuron eval run $(EVAL_POLICY) --episodes 200 --presets none,fastv-p25,fastv-p50,fastv-p75 \
+	  --out out/eval/presets $(ARGS)
+	$(BIN)/roboneuron eval run $(EVAL_POLICY) --episodes 50 --execution sequential,overlap \
+	  --latency 0 --latency 112ms --latency 250ms --out out/eval/latency $(ARGS)
+
+EVAL_POLICY := --backend oft-primary --checkpoint out/eval/policy --config out/eval/policy/roboneuron.toml \
+  --seed 10000 --workers $(JOBS)
 
 # LIBERO's reference stack is for Python 3.10 and 3.11 only.
 LIBERO_PYTHON ?= python3.11
