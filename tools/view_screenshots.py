@@ -1,6 +1,6 @@
 """Take the pictures of docs/view.md: one episode of the servo policy, stepped at the page's own pace.
 
-    .venv/bin/python tools/view_screenshots.py docs/images
+    .venv/bin/python tools/view_screenshots.py docs/assets
 
 Simulation, policy, controller and limits are those of `roboneuron eval`; only the processes between them are left
 out, so that a machine that draws the page with its processor shows the same as one that does not.
