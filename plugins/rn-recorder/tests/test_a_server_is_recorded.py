@@ -135,9 +135,9 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     assert all(len(action.data) == 7 for action in actions)
     assert first.facts["outcome"] == "success"
     incidents = [run for run in runs.values() if run.kind == "incident"]
-    told = [fact["what"] for run in incidents for fact in json.loads(read_attachments(run.files[0])["incident.json"])]
-    assert "server_ended" in told
-    assert "perception-exited" in told
+    told = [fact for run in incidents for fact in json.loads(read_attachments(run.files[0])["incident.json"])]
+    assert "server_ended" in [fact["what"] for fact in told]
+    assert ("perception", "exited") in [(fact.get("module"), fact.get("health")) for fact in told], told
     for incident in incidents:
         assert "incident.json" in read_attachments(incident.files[0])
         assert any(True for _ in read_records(incident.files[0]))

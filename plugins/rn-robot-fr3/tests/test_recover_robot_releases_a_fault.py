@@ -17,6 +17,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_ops.plugin import CLIENTS
 from rn_robot_fr3.plugin import roboneuron_features
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
@@ -99,7 +100,7 @@ class Served:
 
 
 def application(folder: Path, driver: str) -> Application:
-    registry = fake_registry(ARM, *roboneuron_features())
+    registry = fake_registry(ARM, CLIENTS, *roboneuron_features())
     config = parse_config(f'[robot]\nname = "arm"\ndriver = "{driver}"\n')
     catalogue = PluginCatalogue(discover=lambda disabled: registry)
     return Application(config, plugins=catalogue, supervisor=Supervisor(folder))

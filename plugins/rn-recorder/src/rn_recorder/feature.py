@@ -60,11 +60,13 @@ class Recorder(Feature[RecorderOptions]):
         self._host = host
         self._store = Store(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()
+        self._namespace = host.config.namespace
         self._process = self._make()
-        host.events.health.listen(self._on_health)
-        host.events.fault.listen(self._on_fault)
-        host.events.change.listen(self._on_change)
-        host.events.call.listen(self._on_call)
+        if self.is_enabled:
+            host.events.health.listen(self._on_health)
+            host.events.fault.listen(self._on_fault)
+            host.events.change.listen(self._on_change)
+            host.events.call.listen(self._on_call)
         return recording_tools(self._store, lambda: self._process, self.is_enabled)
 
     def start(self, host: Host) -> None:
@@ -72,7 +74,6 @@ class Recorder(Feature[RecorderOptions]):
         assert self._process is not None
         if not self.is_enabled:
             return
-        self._namespace = host.config.namespace
         self._process.start()
         if self.options.record:
             process = self._process
