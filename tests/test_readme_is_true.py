@@ -42,7 +42,7 @@ def test_client_configuration_block_launches_the_server(
 
 def test_every_command_in_the_readme_exists(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
-    used = set(re.findall(r"(?:^|`)roboneuron ([a-z]+)", text, re.MULTILINE))
+    used = set(re.findall(r"(?:^|`)roboneuron ([a-z-]+)", text, re.MULTILINE))
     assert used
     assert used <= {*COMMANDS, *GROUPS, *installed_commands(discover())}
     targets = set(re.findall(r"make ([a-z-]+)", " ".join(blocks(root, "bash"))))

@@ -116,9 +116,10 @@ def test_an_interrupt_that_python_drops_ends_following(state: Path, monkeypatch:
     view = LogView(choose_run(state, None), None, Console(file=io.StringIO()))
     steps = iter([Deleted, lambda: None, lambda: pytest.fail("it goes on")])
     monkeypatch.setattr(log_reading.time, "sleep", lambda _: next(steps)())
+    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         view.follow(state)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_folder_of_another_kind_is_no_run(state: Path) -> None:

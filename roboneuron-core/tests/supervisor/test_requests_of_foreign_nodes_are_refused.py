@@ -71,6 +71,17 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
     process.announce(digest_of_transition(3, "activate"))
 
 
+def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> None:
+    """Whoever reaps it besides takes its end away: it would count as running for ever."""
+    process = spawn("ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessObservers())
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    process.terminate()
+    process.kill()
+    process.reap(lambda ended: None)
+    assert process.wait(10.0)
+    assert process.exit_code == 0
+
+
 @pytest.fixture
 def foreign(supervisor: Supervisor) -> Iterator[RosLink]:
     """Another node on the graph."""

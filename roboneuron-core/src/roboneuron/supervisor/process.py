@@ -155,8 +155,7 @@ class ModuleProcess:
     def terminate(self) -> None:
         """SIGTERM to the process: hold, release, leave."""
         with self._reaping:
-            if self._child.returncode is None:
-                self._child.send_signal(signal.SIGTERM)
+            self._signal(signal.SIGTERM)
 
     def kill(self) -> None:
         """SIGKILL to the process and everything it has started in its group."""
@@ -164,7 +163,13 @@ class ModuleProcess:
         with self._reaping:
             if self._child.returncode is None:
                 _kill_group(self.pid)
-                self._child.kill()  # it leaves its group at its end
+                self._signal(signal.SIGKILL)  # it leaves its group at its end
+
+    def _signal(self, number: signal.Signals) -> None:
+        """Not by Popen: that reaps a process which has ended, and `reap` would wait for nobody."""
+        if self._child.returncode is None:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, number)
 
     def wait(self, timeout_s: float) -> bool:
         """Whether it ended, was reaped and cleaned up within `timeout_s`."""
