@@ -108,6 +108,14 @@ def test_faults_are_recorded_and_perception_is_restarted(
                     while (await module(kind))["health"] not in words:
                         await anyio.sleep(0.05)
 
+            async def recorded(wanted: set[tuple[str, str]]) -> list[dict[str, Any]]:
+                with anyio.fail_after(20):
+                    while True:
+                        found: list[dict[str, Any]] = (await do("list_incidents"))["incidents"]
+                        if wanted <= {(i["module"], i["what"]) for i in found}:
+                            return found
+                        await anyio.sleep(0.05)
+
             for kind in ("robot", "perception", "control"):
                 await do(f"start_{kind}")
             await do("start_inference", instruction="move on")
@@ -116,6 +124,7 @@ def test_faults_are_recorded_and_perception_is_restarted(
             control = (await module("control"))["pid"]
             os.kill(control, signal.SIGSTOP)
             await until("control", "silent")
+            await recorded({("control", "silent")})  # the server looks at its modules by itself, a little later
             os.kill(control, signal.SIGCONT)
             await until("control", "ok")
 
@@ -126,11 +135,7 @@ def test_faults_are_recorded_and_perception_is_restarted(
                     await anyio.sleep(0.05)
             await until("inference", "ok")
 
-            found: list[dict[str, Any]] = []
-            wanted = {("control", "silent"), ("perception", "exited"), ("perception", "restart")}
-            with anyio.fail_after(20):
-                while not wanted <= {(i["module"], i["what"]) for i in found}:
-                    found = (await do("list_incidents"))["incidents"]
+            found = await recorded({("control", "silent"), ("perception", "exited"), ("perception", "restart")})
             exited = next(i for i in found if (i["module"], i["what"]) == ("perception", "exited"))
             assert exited["status"]["exit"]["code"] == -9
             assert len(exited["actions"]) > 2
