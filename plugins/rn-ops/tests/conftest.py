@@ -1,4 +1,4 @@
-"""Servers and modules that find `ops_plugin.py` as an installed plugin."""
+"""Servers and modules that find the fakes and a ticking camera as an installed plugin."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ state_directory = "{state}"
 def site(tmp_path: Path) -> Path:
     """A folder for PYTHONPATH in which the plugin is installed."""
     folder = tmp_path / "site"
-    source = Path(__file__).with_name("ops_plugin.py").read_text()
-    PluginSite(path=folder).install("rn-ops-tests", source, header="")
+    PluginSite(path=folder).install("rn-ops-tests", "", value="rn_testing.fakes.ticking")
     return folder
 
 

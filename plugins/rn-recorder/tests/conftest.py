@@ -1,4 +1,4 @@
-"""Servers and modules that find `recorder_plugin.py` as an installed plugin."""
+"""Servers and modules that find the fakes and a ticking camera as an installed plugin."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ incident_after_s = 0.5
 def server_environment(tmp_path: Path) -> dict[str, str]:
     """Environment of a server process with the plugin and a recorder."""
     folder = tmp_path / "site"
-    source = Path(__file__).with_name("recorder_plugin.py").read_text()
-    PluginSite(path=folder).install("rn-recorder-tests", source, header="")
+    PluginSite(path=folder).install("rn-recorder-tests", "", value="rn_testing.fakes.ticking")
     return {
         **os.environ,
         "PYTHONPATH": str(folder),

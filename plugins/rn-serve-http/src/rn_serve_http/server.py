@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import os
 import socket
@@ -15,6 +14,7 @@ import uvicorn
 from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
+from rn_serve_http.addresses import bind
 from rn_serve_http.connections import BoundedProtocol, ConnectionTable
 from rn_serve_http.local_clients import local_client
 from rn_serve_http.middleware import AccessMiddleware, session_name
@@ -22,7 +22,7 @@ from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
 from rn_serve_http.tokens import TokenTable
-from roboneuron import ConfigurationError, __version__
+from roboneuron import __version__
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
@@ -77,30 +77,10 @@ def listen(options: HttpOptions, tokens: TokenTable) -> socket.socket:
     """A socket bound to the configured address.
 
     Raises:
-        ConfigurationError: the address is not loopback and there are no tokens, or it cannot be bound.
+        ConfigurationError: as `bind`.
     """
-    try:
-        found = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except OSError as error:
-        raise ConfigurationError(f"host = {options.host!r} is no address of this machine: {error}.") from error
-    family, kind, protocol, _, address = found[0]
-    if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
-        raise ConfigurationError(
-            f"host = {options.host!r} can be reached from other machines, and there is no token: anybody could move "
-            "the robot.",
-            hint="Add [[http.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
-        )
-    listener = socket.socket(family, kind, protocol)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        _keep_alive(listener)
-        listener.bind(address)
-    except OSError as error:
-        listener.close()
-        raise ConfigurationError(
-            f"Port {options.port} of {options.host} cannot be used: {error.strerror}.",
-            hint="Does another server run? Choose another --port.",
-        ) from error
+    listener = bind("http", options.host, options.port, tokens)
+    _keep_alive(listener)
     return listener
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 from dataclasses import dataclass
 from typing import Any
 
+from rn_serve_http.addresses import bind
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.tokens import TokenTable
 from rn_view.options import ViewOptions
-from roboneuron import ConfigurationError
 from roboneuron.server.access import LOCAL_PROCESS, Holder
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
@@ -57,28 +55,9 @@ def check_address(options: ViewOptions, tokens: TokenTable) -> None:
     """Check that the page may be served on its address and that its port is free.
 
     Raises:
-        ConfigurationError: the address is not loopback and there are no tokens, or it cannot be bound.
+        ConfigurationError: as `rn_serve_http.addresses.bind`.
     """
-    try:
-        found = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except OSError as error:
-        raise ConfigurationError(f"[view] host = {options.host!r} is no address of this machine: {error}.") from error
-    family, kind, protocol, _, address = found[0]
-    if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
-        raise ConfigurationError(
-            f"[view] host = {options.host!r} can be reached from other machines, and there is no token: anybody could "
-            "move the robot.",
-            hint="Add [[http.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
-        )
-    with socket.socket(family, kind, protocol) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(address)
-        except OSError as error:
-            raise ConfigurationError(
-                f"Port {options.port} of {options.host} cannot be used: {error.strerror}.",
-                hint="Does another view run? Choose another `port` in [view].",
-            ) from error
+    bind("view", options.host, options.port, tokens).close()
 
 
 def _bracketed(name: str) -> str:

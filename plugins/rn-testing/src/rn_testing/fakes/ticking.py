@@ -1,17 +1,23 @@
-"""A plugin for these tests: the public fakes, and a camera that ticks."""
+"""A plugin for tests with real processes: the public fakes, and a camera that ticks.
+
+A PluginSite installs it by its name: `install("rn-tests", "", value="rn_testing.fakes.ticking")`.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from rn_testing.fakes import FAKE_SPECS, gradient_image
 from roboneuron import Frame, PerceptionSpec, hookimpl
+from roboneuron.contract import CameraProfile, Topics
+from roboneuron.plugins.specs import Spec
 
 
 class TickingSource:
     """Serves its cameras in turn, about 20 frames per second each."""
 
-    def __init__(self, config, topics, cameras) -> None:
+    def __init__(self, config: None, topics: Topics, cameras: Sequence[CameraProfile]) -> None:
         self._topics, self._cameras, self._index = topics, list(cameras), 0
 
     def open(self) -> None:
@@ -28,25 +34,29 @@ class TickingSource:
         """Nothing to close."""
 
 
-def of_kind(kind: str):
+def _of_kind(kind: str) -> tuple[Spec, ...]:
     return tuple(spec for spec in FAKE_SPECS if spec.kind == kind)
 
 
 @hookimpl
-def roboneuron_robots():
-    return of_kind("robot")
+def roboneuron_robots() -> tuple[Spec, ...]:
+    """The fakes' robots."""
+    return _of_kind("robot")
 
 
 @hookimpl
-def roboneuron_controllers():
-    return of_kind("controller")
+def roboneuron_controllers() -> tuple[Spec, ...]:
+    """The fakes' controllers."""
+    return _of_kind("controller")
 
 
 @hookimpl
-def roboneuron_backends():
-    return of_kind("backend")
+def roboneuron_backends() -> tuple[Spec, ...]:
+    """The fakes' backends."""
+    return _of_kind("backend")
 
 
 @hookimpl
-def roboneuron_perceptions():
+def roboneuron_perceptions() -> tuple[Spec, ...]:
+    """The ticking camera."""
     return (PerceptionSpec(name="ticking", summary="20 frames per second.", target=f"{__name__}:TickingSource"),)
