@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -38,3 +39,41 @@ def _pauses_of_the_interpreter() -> Iterator[None]:
     sys.setswitchinterval(interval_s)
     gc.unfreeze()
     gc.collect()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_report_to_serializable() -> Generator[None, Any, Any]:
+    """Let a worker of pytest-xdist report whatever a test logged: what execnet cannot send would end the whole run.
+
+    Half of a surrogate pair in a log line is enough for that, even in a test that passes.
+    """
+    return _sendable((yield))
+
+
+def _sendable(value: Any) -> Any:
+    if value is None or type(value) in (bool, int, float, bytes):
+        return value
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {_sendable(key): _sendable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        items = [_sendable(item) for item in value]
+        return items if isinstance(value, list) else tuple(items)
+    return repr(value)
+
+
+def pytest_internalerror(excrepr: object) -> None:
+    """Remember the first error of pytest itself; those that follow from it are printed last and hide it."""
+    _internal_errors.append(str(excrepr))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure() -> None:
+    """Say it again at the very end."""
+    if _internal_errors:
+        last_lines = "\n".join(_internal_errors[0].splitlines()[-12:])
+        print(f"\nThe first internal error ended so:\n{last_lines}", file=sys.stderr)
+
+
+_internal_errors: list[str] = []
