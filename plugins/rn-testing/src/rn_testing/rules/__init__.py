@@ -6,8 +6,10 @@ from rn_testing.rule import Rule
 from rn_testing.rules import (
     acceleration,
     backend,
+    backend_observation,
     command,
     controller,
+    controller_bounds,
     descriptor,
     driver,
     driver_motion,
@@ -20,11 +22,11 @@ from rn_testing.rules import (
 )
 
 RULES: dict[str, tuple[Rule[Any], ...]] = {
-    "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES),
+    "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES, *backend_observation.RULES),
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
     "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
     "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
-    "controller": (*descriptor.RULES, *restricted.RULES, *controller.RULES),
+    "controller": (*descriptor.RULES, *restricted.RULES, *controller.RULES, *controller_bounds.RULES),
     "robot": (*descriptor.RULES, *restricted.RULES, *robot.RULES, *driver.RULES, *driver_motion.RULES),
     "feature": (*descriptor.RULES, *feature.RULES),
     "command": (*descriptor.RULES, *command.RULES),

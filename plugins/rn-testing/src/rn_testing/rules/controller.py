@@ -12,7 +12,6 @@ from rn_testing.cases import ControllerCase
 from rn_testing.commands import (
     TRUTH_M,
     TRUTH_RAD,
-    arm_sample,
     by_name,
     check_arrives,
     check_command,
@@ -21,7 +20,7 @@ from rn_testing.commands import (
     make_action,
     postures,
 )
-from rn_testing.effects import check_quick, expect_refusal
+from rn_testing.effects import expect_refusal
 from rn_testing.kinematics import place_tcp
 from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, Violation, require
@@ -36,10 +35,6 @@ RESIDUAL_M, RESIDUAL_RAD = 5e-3, 0.05
 """Largest residual of a small step: what ends farther from its target is to be refused."""
 STILL = 1e-3
 """How far a joint may move for an action of zero [rad or m]."""
-MAX_STEP = 0.3
-"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
-COMPUTE_LIMIT_S = 0.05
-"""Bound on the quickest of some `compute`: half of the time between two actions."""
 
 
 def _load(case: ControllerCase, controller: Controller) -> None:
@@ -57,12 +52,11 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
     },
 )
 """How a controller is started and used."""
-_loaded = LIFECYCLE.running
+loaded = LIFECYCLE.running
 
 
-def _compute(
-    controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S
-) -> JointCommand | Hold:
+def compute(controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S) -> JointCommand | Hold:
+    """What `compute` returns; a refusal says why."""
     result = controller.compute(action, joints, step_s)
     require(isinstance(result, (JointCommand, Hold)), f"compute returned {type(result).__name__}")
     if isinstance(result, Hold):
@@ -72,7 +66,7 @@ def _compute(
 
 def _check_forward(case: ControllerCase) -> None:
     profile = case.robot()
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         for posture in postures(profile):
             pose = controller.forward(replace(posture, stamp_ns=123))
             require(
@@ -102,20 +96,20 @@ def _damaged(joints: JointSample) -> dict[str, JointSample]:
 
 def _check_forward_bad(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         for name, bad in _damaged(joints).items():
             expect_refusal(lambda j=bad: controller.forward(j), f"forward with {name}", UnsafeError)  # type: ignore[misc]
 
 
 def _check_small_step(case: ControllerCase) -> None:
     profile = case.robot()
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         for joints in postures(profile):
             for step_s in (0.05, 0.2):
                 sizes = np.repeat([SPEED_M_S * step_s, SPEED_RAD_S * step_s], 3)
                 for axis in range(6):
                     action = make_action(*(sizes * np.eye(6)[axis]))
-                    command = _compute(controller, action, joints, step_s)
+                    command = compute(controller, action, joints, step_s)
                     if isinstance(command, Hold):
                         raise Violation(f"a step of {action.to_vector()[:6]} was refused: {command.reason}")
                     check_command(command, joints, profile, step_s)
@@ -126,8 +120,8 @@ def _check_small_step(case: ControllerCase) -> None:
 
 def _check_still(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
-    with _loaded(case) as controller:
-        command = _compute(controller, make_action(), joints)
+    with loaded(case) as controller:
+        command = compute(controller, make_action(), joints)
     if isinstance(command, Hold):
         return
     measured = by_name(joints)
@@ -146,66 +140,19 @@ def _check_bad_numbers(case: ControllerCase) -> None:
         bad.append((f"a rotation of {number}", replace(make_action(), rotation_rad=wrong), joints, STEP_S))
         bad.append((f"an opening of {number}", replace(make_action(), gripper_open=float(number)), joints, STEP_S))
     bad += [(f"step_s {step_s:g}", make_action(0.001), joints, step_s) for step_s in (0.0, -0.1, float("nan"))]
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         for name, action, sample, step_s in bad:
             try:
-                result = _compute(controller, action, sample, step_s)
+                result = compute(controller, action, sample, step_s)
             except Violation:
                 raise
             except Exception as error:
                 raise Violation(f"compute with {name} raised {type(error).__name__}: {error}") from error
             require(isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold")
         numb = replace(joints, velocity=np.full(len(joints.names), np.nan))
-        result = _compute(controller, make_action(0.001), numb)
+        result = compute(controller, make_action(0.001), numb)
     if isinstance(result, JointCommand):
         check_command(result, joints, profile, STEP_S)
-
-
-def _check_far(case: ControllerCase) -> None:
-    profile = case.robot()
-    with _loaded(case) as controller:
-        for values in ((5.0,), (0, 0, -5.0), (0, -2.0), (0, 0, 0, 3.0, 0, 0)):
-            joints, action = home_sample(profile), make_action(*values)
-            result = _compute(controller, action, joints)
-            if isinstance(result, Hold):
-                continue
-            require(not any(values[:3]), f"a target {values} m away was not refused")
-            check_command(result, joints, profile, STEP_S)
-            check_arrives(result, action, joints, profile)
-            step = max(abs(p - by_name(joints)[n]) for n, p in by_name(result).items() if n in profile.arm_joints)
-            require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
-
-
-def _check_limits(case: ControllerCase) -> None:
-    """From postures with one joint at its limit, steps in every direction leave no limit and tell no lie."""
-    profile = case.robot()
-    home = home_sample(profile)
-    limits, count = profile.limits, len(profile.arm_joints)
-    assert limits is not None
-    with _loaded(case) as controller:
-        for joint in range(count):
-            for bound, inward in ((limits.lower[joint], 1e-4), (limits.upper[joint], -1e-4)):
-                arm = home.position[:count].copy()
-                arm[joint] = bound + inward
-                joints = arm_sample(profile, arm)
-                for axis in range(6):
-                    for sign in (1, -1):
-                        action = make_action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
-                        result = _compute(controller, action, joints)
-                        if isinstance(result, JointCommand):
-                            check_command(result, joints, profile, STEP_S)
-                            check_arrives(result, action, joints, profile)
-
-
-def _check_fast(case: ControllerCase) -> None:
-    profile = case.robot()
-    joints = home_sample(profile)
-    with _loaded(case) as controller:
-        for axis in range(6):
-            action, step_s = make_action(*(0.1 * np.eye(6)[axis])), 0.01
-            result = _compute(controller, action, joints, step_s)
-            if isinstance(result, JointCommand):
-                check_command(result, joints, profile, step_s)
 
 
 def _check_gripper(case: ControllerCase) -> None:
@@ -213,9 +160,9 @@ def _check_gripper(case: ControllerCase) -> None:
     gripper = profile.gripper
     if gripper is None:
         raise NotApplicable("the robot has no gripper")
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         for opening in (0.0, 0.3, 1.0):
-            result = _compute(controller, make_action(opening=opening), home_sample(profile))
+            result = compute(controller, make_action(opening=opening), home_sample(profile))
             if isinstance(result, Hold):
                 raise Violation(f"an action that only sets the gripper to {opening:g} was refused: {result.reason}")
             sent = by_name(result).get(gripper.joint)
@@ -238,21 +185,14 @@ def _check_by_name(case: ControllerCase) -> None:
         stamp_ns=joints.stamp_ns,
     )
     action = make_action(0.003, -0.002, 0.001)
-    with _loaded(case) as controller:
+    with loaded(case) as controller:
         straight, turned = controller.forward(joints), controller.forward(mixed)
-        results = [_compute(controller, action, sample) for sample in (joints, mixed)]
+        results = [compute(controller, action, sample) for sample in (joints, mixed)]
     require(max(distance(straight, turned)) <= 1e-6, "forward depends on the order of the measured joints")
     require(type(results[0]) is type(results[1]), "compute depends on the order of the measured joints")
     first, second = ({} if isinstance(r, Hold) else by_name(r) for r in results)
     same = first.keys() == second.keys() and all(abs(first[n] - second[n]) <= 1e-9 for n in first)
     require(same, "compute depends on the order of the measured joints")
-
-
-def _check_quick(case: ControllerCase) -> None:
-    joints = home_sample(case.robot())
-    with _loaded(case) as controller:
-        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(make_action(0.002), joints, STEP_S), "compute", tries=7)
-        check_quick(COMPUTE_LIMIT_S, lambda: controller.forward(joints), "forward", tries=7)
 
 
 def _check_memoryless(case: ControllerCase) -> None:
@@ -261,11 +201,11 @@ def _check_memoryless(case: ControllerCase) -> None:
     action = make_action(0.003, -0.002, 0.001)
     results: list[Any] = []
     for _ in range(2):
-        with _loaded(case) as controller:
-            results.append(_compute(controller, action, joints))
-            _compute(controller, make_action(-0.004, 0.001, 0.002), joints)
-            _compute(controller, make_action(5.0), joints)
-            results.append(_compute(controller, action, joints))
+        with loaded(case) as controller:
+            results.append(compute(controller, action, joints))
+            compute(controller, make_action(-0.004, 0.001, 0.002), joints)
+            compute(controller, make_action(5.0), joints)
+            results.append(compute(controller, action, joints))
     require(bool(np.array_equal(kept, joints.position)), "compute wrote into the measured joints")
     first = results[0]
     for again in results[1:]:
@@ -298,62 +238,56 @@ def _check_bad_profile(case: ControllerCase) -> None:
 _SOURCE = "roboneuron.contract.protocols.Controller"
 
 
-def _rule(
+def controller_rule(
     name: str, text: str, check: Callable[[ControllerCase], None], source: str = f"{_SOURCE}.compute"
 ) -> Rule[ControllerCase]:
+    """A rule of controllers."""
     return Rule(id=f"controller/{name}", text=text, source=source, check=check)
 
 
 RULES: tuple[Rule[ControllerCase], ...] = (
     *LIFECYCLE.rules(),
-    _rule(
+    controller_rule(
         "forward-is-a-pose",
         "`forward` returns the pose that the URDF gives, a unit quaternion and the stamp of the joints.",
         _check_forward,
         f"{_SOURCE}.forward",
     ),
-    _rule(
+    controller_rule(
         "forward-refuses-bad-joints",
         "`forward` raises UnsafeError for joints that are missing or not finite.",
         _check_forward_bad,
         f"{_SOURCE}.forward",
     ),
-    _rule(
+    controller_rule(
         "small-steps-arrive",
         "A slow step from home or nearby yields a command within limits that ends where its residual says.",
         _check_small_step,
     ),
-    _rule("zero-stands-still", "An action of zero moves no joint.", _check_still, "roboneuron.contract.action"),
-    _rule(
+    controller_rule(
+        "zero-stands-still", "An action of zero moves no joint.", _check_still, "roboneuron.contract.action"
+    ),
+    controller_rule(
         "bad-numbers-hold",
         "`compute` holds, and says why, for numbers that are missing, not finite or no time; it never raises.",
         _check_bad_numbers,
     ),
-    _rule(
-        "far-targets-harmless",
-        "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad per joint.",
-        _check_far,
-    ),
-    _rule("limits-kept", "Near a joint limit no command leaves it, and its residual is true.", _check_limits),
-    _rule(
-        "velocity-kept",
-        "A step too fast for the joints' velocity limits is refused or given more time.",
-        _check_fast,
-        "roboneuron.contract.profile.JointLimits",
-    ),
-    _rule(
+    controller_rule(
         "gripper-commanded",
         "The gripper's joint is sent to the position of the action's opening.",
         _check_gripper,
         "roboneuron.contract.profile.GripperProfile",
     ),
-    _rule("joints-by-name", "Measured joints are taken by name, in any order, others left out.", _check_by_name),
-    _rule("compute-quick", "`compute` and `forward` take a fraction of a step.", _check_quick),
-    _rule(
+    controller_rule(
+        "joints-by-name", "Measured joints are taken by name, in any order, others left out.", _check_by_name
+    ),
+    controller_rule(
         "memoryless",
         "The same action and joints yield the same command, from any instance, and the input is not written to.",
         _check_memoryless,
     ),
-    _rule("bad-profile-refused", "A profile that makes no arm is refused.", _check_bad_profile, f"{_SOURCE}.load"),
+    controller_rule(
+        "bad-profile-refused", "A profile that makes no arm is refused.", _check_bad_profile, f"{_SOURCE}.load"
+    ),
 )
-"""Rules of controllers."""
+"""Rules of controllers, but for those of `controller_bounds`."""

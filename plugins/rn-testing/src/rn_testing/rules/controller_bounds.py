@@ -1,0 +1,89 @@
+"""Rules of controllers on bounds: targets out of reach, joint and velocity limits, and the time that a step takes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rn_testing.cases import ControllerCase
+from rn_testing.commands import arm_sample, by_name, check_arrives, check_command, home_sample, make_action
+from rn_testing.effects import check_quick
+from rn_testing.rule import Rule, require
+from rn_testing.rules.controller import STEP_S, compute, controller_rule, loaded
+from roboneuron.contract import Hold, JointCommand
+
+MAX_STEP = 0.3
+"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
+COMPUTE_LIMIT_S = 0.05
+"""Bound on the quickest of some `compute`: half of the time between two actions."""
+
+
+def _check_far(case: ControllerCase) -> None:
+    profile = case.robot()
+    with loaded(case) as controller:
+        for values in ((5.0,), (0, 0, -5.0), (0, -2.0), (0, 0, 0, 3.0, 0, 0)):
+            joints, action = home_sample(profile), make_action(*values)
+            result = compute(controller, action, joints)
+            if isinstance(result, Hold):
+                continue
+            require(not any(values[:3]), f"a target {values} m away was not refused")
+            check_command(result, joints, profile, STEP_S)
+            check_arrives(result, action, joints, profile)
+            step = max(abs(p - by_name(joints)[n]) for n, p in by_name(result).items() if n in profile.arm_joints)
+            require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
+
+
+def _check_limits(case: ControllerCase) -> None:
+    """From postures with one joint at its limit, steps in every direction leave no limit and tell no lie."""
+    profile = case.robot()
+    home = home_sample(profile)
+    limits, count = profile.limits, len(profile.arm_joints)
+    assert limits is not None
+    with loaded(case) as controller:
+        for joint in range(count):
+            for bound, inward in ((limits.lower[joint], 1e-4), (limits.upper[joint], -1e-4)):
+                arm = home.position[:count].copy()
+                arm[joint] = bound + inward
+                joints = arm_sample(profile, arm)
+                for axis in range(6):
+                    for sign in (1, -1):
+                        action = make_action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
+                        result = compute(controller, action, joints)
+                        if isinstance(result, JointCommand):
+                            check_command(result, joints, profile, STEP_S)
+                            check_arrives(result, action, joints, profile)
+
+
+def _check_fast(case: ControllerCase) -> None:
+    profile = case.robot()
+    joints = home_sample(profile)
+    with loaded(case) as controller:
+        for axis in range(6):
+            action, step_s = make_action(*(0.1 * np.eye(6)[axis])), 0.01
+            result = compute(controller, action, joints, step_s)
+            if isinstance(result, JointCommand):
+                check_command(result, joints, profile, step_s)
+
+
+def _check_quick(case: ControllerCase) -> None:
+    joints = home_sample(case.robot())
+    with loaded(case) as controller:
+        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(make_action(0.002), joints, STEP_S), "compute", tries=7)
+        check_quick(COMPUTE_LIMIT_S, lambda: controller.forward(joints), "forward", tries=7)
+
+
+RULES: tuple[Rule[ControllerCase], ...] = (
+    controller_rule(
+        "far-targets-harmless",
+        "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad per joint.",
+        _check_far,
+    ),
+    controller_rule("limits-kept", "Near a joint limit no command leaves it, and its residual is true.", _check_limits),
+    controller_rule(
+        "velocity-kept",
+        "A step too fast for the joints' velocity limits is refused or given more time.",
+        _check_fast,
+        "roboneuron.contract.profile.JointLimits",
+    ),
+    controller_rule("compute-quick", "`compute` and `forward` take a fraction of a step.", _check_quick),
+)
+"""Rules of controllers on bounds."""
