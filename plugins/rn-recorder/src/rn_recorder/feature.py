@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 import threading
@@ -15,11 +16,12 @@ from rn_recorder.process import RecorderProcess
 from rn_recorder.tools import recording_tools
 from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
 from rn_runs.store import Store
-from roboneuron import ConfigurationError, Feature, Host, Tool, __version__
+from roboneuron import ConfigurationError, Feature, Host, NotReadyError, Tool, __version__
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 
+log = logging.getLogger(__name__)
 SWITCH = "ROBONEURON_RECORDER"
 """Environment variable; "off" is as `enabled = false` (tests, small machines)."""
 FOLDER = "runs"
@@ -90,8 +92,16 @@ class Recorder(Feature[RecorderOptions]):
         return self.options.enabled and os.environ.get(SWITCH, "").lower() != "off"
 
     def _record(self, process: RecorderProcess) -> None:
-        answer = process.ask({"do": "start", "name": "server", "facts": {}}, timeout_s=60.0)
-        process.resume_with(str(answer.get("id", "")), "server")
+        """Begin a recording as soon as a recorder obeys; one that ends before it answers is followed by another."""
+        while process.wait_for_status():
+            run = str(process.status.get("recording", ""))
+            try:
+                run = run or str(process.ask({"do": "start", "name": "server", "facts": {}}, 60.0).get("id", ""))
+            except NotReadyError as error:
+                log.warning("The recording with the server has not begun yet: %s", error)
+            if run:
+                process.resume_with(run, "server")
+                return
 
     def _make(self) -> RecorderProcess:
         observers = self._host.supervisor.observers
