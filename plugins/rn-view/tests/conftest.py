@@ -75,17 +75,17 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def look(browser: Any) -> Iterator[Callable[[str], Any]]:
+def look(browser: Any) -> Iterator[Callable[..., Any]]:
     """Return a function that opens a page; it is small, so that drawing it takes little."""
     contexts: list[Any] = []
 
-    def open_page(url: str) -> Any:
+    def open_page(url: str, first: str = "EMERGENCY STOP") -> Any:
         context = browser.new_context(viewport={"width": 700, "height": 500})
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.goto(url)
-        page.get_by_text("EMERGENCY STOP").first.wait_for()
+        page.get_by_text(first).first.wait_for()
         return page
 
     yield open_page

@@ -73,6 +73,7 @@ class FakeSource:
     """A source that the test feeds: `send` brings a message to whoever subscribed."""
 
     label = "live"
+    playback = None
 
     def __init__(self) -> None:
         self.happenings = Happenings()
@@ -83,6 +84,9 @@ class FakeSource:
             ModuleRow(kind="robot", health="ok", chosen="twolink", rate_hz=100.0),
             ModuleRow(kind="inference", health="failing", text="<b>lost</b>", rate_hz=5.0, latency_ms=40.0, dropped=3),
         )
+
+    def now_s(self) -> float:
+        return time.monotonic()
 
     def config(self) -> Config:
         return parse_config(CONFIG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 import threading
@@ -11,17 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from rn_recorder.options import RecorderOptions
+from rn_recorder.playing import playing_tool
 from rn_recorder.process import RecorderProcess
 from rn_recorder.tools import recording_tools
-from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
+from rn_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
 from rn_runs.store import Store
-from roboneuron import ConfigurationError, Feature, Host, Tool, __version__
+from roboneuron import ConfigurationError, Feature, Host, NotReadyError, Tool, __version__
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
 
-SWITCH = "ROBONEURON_RECORDER"
-"""Environment variable; "off" is as `enabled = false` (tests, small machines)."""
+log = logging.getLogger(__name__)
 FOLDER = "runs"
 _ORDINARY = frozenset({"ungrounded"})
 """An instruction that a backend cannot follow is an answer, not a fault."""
@@ -67,7 +68,8 @@ class Recorder(Feature[RecorderOptions]):
             host.events.fault.listen(self._on_fault)
             host.events.change.listen(self._on_change)
             host.events.call.listen(self._on_call)
-        return recording_tools(self._store, lambda: self._process, self.is_enabled)
+        tools = recording_tools(self._store, lambda: self._process, self.is_enabled)
+        return [*tools, playing_tool(host)] if os.environ.get(SWITCH, "").lower() == PLAY else tools
 
     def start(self, host: Host) -> None:
         """Start the recorder's process; it joins ROS by itself."""
@@ -87,11 +89,19 @@ class Recorder(Feature[RecorderOptions]):
     @property
     def is_enabled(self) -> bool:
         """Whether there is a recorder."""
-        return self.options.enabled and os.environ.get(SWITCH, "").lower() != "off"
+        return self.options.enabled and os.environ.get(SWITCH, "").lower() not in ("off", PLAY)
 
     def _record(self, process: RecorderProcess) -> None:
-        answer = process.ask({"do": "start", "name": "server", "facts": {}}, timeout_s=60.0)
-        process.resume_with(str(answer.get("id", "")), "server")
+        """Begin a recording as soon as a recorder obeys; one that ends before it answers is followed by another."""
+        while process.wait_for_status():
+            run = str(process.status.get("recording", ""))
+            try:
+                run = run or str(process.ask({"do": "start", "name": "server", "facts": {}}, 60.0).get("id", ""))
+            except NotReadyError as error:
+                log.warning("The recording with the server has not begun yet: %s", error)
+            if run:
+                process.resume_with(run, "server")
+                return
 
     def _make(self) -> RecorderProcess:
         observers = self._host.supervisor.observers

@@ -23,6 +23,8 @@ log = logging.getLogger(__name__)
 MOST_ORDERS = 2000
 STALLED_S = 10.0
 """Without a status for so long (it comes every 0.5 s), the recorder is ended and started again."""
+STARTING_S = 60.0
+"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy with other starts."""
 _LEAVE_S = 4.0
 _BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)
 _STEADY_S = 60.0
@@ -52,6 +54,7 @@ class RecorderProcess:
         self._resume = ("", "")
         self.status: dict[str, Any] = {}
         self.starts = 0
+        self.ends = 0
         self.dropped = 0
 
     @property
@@ -89,22 +92,32 @@ class RecorderProcess:
         """Have it do something and return its answer.
 
         Raises:
-            NotReadyError: it does not run, or gave no answer in time.
+            NotReadyError: it does not run, ended meanwhile, or gave no answer in time.
         """
         with self._changed:
             self._number += 1
-            number = self._number
+            number, ends = self._number, self.ends
         try:
             self._orders.put_nowait({**order, "number": number})
         except queue.Full:
             raise NotReadyError("The recorder takes no orders.", hint="list_recordings tells how it is.") from None
         with self._changed:
-            if not self._changed.wait_for(lambda: number in self._answers, timeout_s):
+            self._changed.wait_for(lambda: number in self._answers or self.ends > ends, timeout_s)
+            if number not in self._answers and self.ends > ends:
+                raise NotReadyError("The recorder ended before it answered.", hint="It is started again: call again.")
+            if number not in self._answers:
                 raise NotReadyError(
                     f"The recorder has not answered within {timeout_s:g} s; it is {self.state}.",
                     hint="list_recordings tells how it is; its log is recorder.log beside the modules' logs.",
                 )
             return self._answers.pop(number)
+
+    def wait_for_status(self) -> bool:
+        """Wait for the next status of a recorder that runs; whether there was one before `close`."""
+        with self._changed:
+            before_s = self._told_s
+            self._changed.wait_for(lambda: self._closing.is_set() or (bool(self.status) and self._told_s > before_s))
+        return not self._closing.is_set()
 
     def resume_with(self, run_id: str, name: str) -> None:
         """What the next one goes on with, should this one die; empty for nothing."""
@@ -113,6 +126,8 @@ class RecorderProcess:
     def close(self) -> None:
         """Let it finish its files, for a bounded time; idempotent."""
         self._closing.set()
+        with self._changed:
+            self._changed.notify_all()
         child, thread = self._child, self._thread
         if child is not None and child.poll() is None:
             with suppress(queue.Full):
@@ -153,14 +168,18 @@ class RecorderProcess:
         for thread in threads:
             thread.start()
         while child.poll() is None:
-            if time.monotonic() - self._told_s > STALLED_S and not self._closing.is_set():
-                log.warning("The recorder has said nothing for %g s: ended.", STALLED_S)
+            patience_s = STALLED_S if self.status else STARTING_S
+            if time.monotonic() - self._told_s > patience_s and not self._closing.is_set():
+                log.warning("The recorder has said nothing for %g s: ended.", patience_s)
                 self._kill(child)
             with suppress(subprocess.TimeoutExpired):
                 child.wait(0.2)
         ended.set()
         for thread in threads:
             thread.join(1.0)
+        with self._changed:
+            self.status, self.ends = {}, self.ends + 1
+            self._changed.notify_all()
         self._observe(child.pid)
 
     def _write(self, child: subprocess.Popen[bytes], ended: threading.Event) -> None:

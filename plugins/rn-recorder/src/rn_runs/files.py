@@ -30,7 +30,8 @@ FLUSH_S = 0.5
 """A chunk is written at the latest after this time: what a killed recorder loses."""
 METADATA = "roboneuron"
 """Name of the metadata record that says what the file holds, and by what configuration."""
-_DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
+DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
+"""What a reader raises at the end of a file that was cut short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +178,7 @@ def read_records(path: Path, definitions: dict[str, str] | None = None) -> Itera
         while True:
             try:
                 entry = next(stream, None)
-            except _DAMAGE:
+            except DAMAGE:
                 return
             if entry is None:
                 return
@@ -197,7 +198,7 @@ def read_about(path: Path) -> dict[str, str]:
     """What the file says of itself; empty when its beginning is damaged."""
     with path.open("rb") as file:
         stream = StreamReader(file).records
-        with suppress(*_DAMAGE):
+        with suppress(*DAMAGE):
             for entry in stream:
                 if isinstance(entry, Metadata) and entry.name == METADATA:
                     return dict(entry.metadata)
@@ -208,7 +209,7 @@ def read_about(path: Path) -> dict[str, str]:
 
 def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
     """Statistics of a finished file from its index, and topic by channel; None for one without."""
-    with path.open("rb") as file, suppress(*_DAMAGE):
+    with path.open("rb") as file, suppress(*DAMAGE):
         summary = make_reader(file).get_summary()
         if summary is not None and summary.statistics is not None:
             return summary.statistics, {key: channel.topic for key, channel in summary.channels.items()}
@@ -217,7 +218,7 @@ def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
 
 def read_attachments(path: Path) -> dict[str, bytes]:
     """Attachments of a finished file, by name."""
-    with path.open("rb") as file, suppress(*_DAMAGE):
+    with path.open("rb") as file, suppress(*DAMAGE):
         return {entry.name: entry.data for entry in make_reader(file).iter_attachments()}
     return {}
 

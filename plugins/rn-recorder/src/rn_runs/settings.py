@@ -14,6 +14,9 @@ from pydantic import BaseModel, ConfigDict
 from roboneuron.log_files import make_log_directory, opener
 from roboneuron.ros.environment import module_environment
 
+SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
+"""Environment variable of a server: with "off" nothing is recorded (tests, small machines); with PLAY neither, but the
+server offers play_recording."""
 _SLOT = 14
 """Ports of the first recorder: those that modules use last, see `port_offset`."""
 

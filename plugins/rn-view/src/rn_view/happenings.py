@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 _KEPT = 300
 _MOST_TEXT = 300
@@ -36,13 +36,26 @@ class Happening:
     is_bad: bool = False
 
 
+class HappeningList(Protocol):
+    """What a page shows of the happenings."""
+
+    @property
+    def count(self) -> int:
+        """Another number means another list."""
+        ...
+
+    def newest(self, most: int) -> list[Happening]:
+        """The newest ones, newest first."""
+        ...
+
+
 class Happenings:
     """The newest happenings; usable from any thread."""
 
-    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, clock: Callable[[], float] = time.time, kept: int | None = _KEPT) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._kept: deque[Happening] = deque(maxlen=_KEPT)
+        self._kept: deque[Happening] = deque(maxlen=kept)
         self.count = 0
         """How many there were; tells whether there is news."""
 
@@ -70,7 +83,7 @@ class ToolCalls:
         """See `mcp.server.context.ServerMiddleware`."""
         if ctx.method != "tools/call" or not ctx.params:
             return await call_next(ctx)
-        call = f"{ctx.params.get('name')}({_arguments(ctx.params.get('arguments'))})"
+        call = f"{ctx.params.get('name')}({shown_arguments(ctx.params.get('arguments'))})"
         self._happenings.add("tool", f"{call} ...")
         begun_s = time.monotonic()
         try:
@@ -91,7 +104,8 @@ def failure_of(result: Any) -> str:
     return " ".join(block.text for block in result.content if hasattr(block, "text")) or "failed"
 
 
-def _arguments(arguments: object) -> str:
+def shown_arguments(arguments: object) -> str:
+    """The arguments of a call as one reads them in the list."""
     if not isinstance(arguments, dict) or not arguments:
         return ""
     return ", ".join(f"{key}={json.dumps(value, default=str)[:60]}" for key, value in list(arguments.items())[:8])

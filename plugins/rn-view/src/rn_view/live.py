@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any, TypeVar, cast
@@ -32,6 +33,7 @@ class LiveSource:
     """Source of a view in the server's own process."""
 
     label = "live"
+    playback = None
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -48,6 +50,10 @@ class LiveSource:
     def on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
         """Listener of `Events.fault`."""
         self.happenings.add("fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True)
+
+    def now_s(self) -> float:
+        """See Source."""
+        return time.monotonic()
 
     def config(self) -> Config:
         """See Source."""

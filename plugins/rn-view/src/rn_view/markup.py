@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from rn_view.happenings import Happening
+from rn_view.playback import Mark, Playback
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import RobotProfile
 from roboneuron.supervisor.health import EXPLANATIONS, FAULTS
@@ -28,6 +29,21 @@ def stop_text(snapshot: Snapshot | None, label: str) -> str:
         f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP LATCHED</b>{cause}. '
         "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
     )
+
+
+def recording_text(playback: Playback, snapshot: Snapshot | None) -> str:
+    """Which recording this is and what time it shows; whether the emergency stop was latched then."""
+    at_s = playback.begun_s + playback.position_s
+    moment = f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(at_s))}.{int(at_s * 10) % 10}"
+    text = f"<b>Recording</b> {escape(playback.title)}<br>{moment} &middot; no robot is connected to this page"
+    if snapshot is not None and snapshot.is_latched:
+        text += f'<br><b style="color:{_BAD}">Emergency stop latched: {escape(snapshot.cause)}</b>'
+    return f'<div style="{_SMALL};padding:4px 14px;overflow-wrap:anywhere">{text}</div>'
+
+
+def mark_text(mark: Mark, position_s: float) -> str:
+    """The newest event before the position, and how long before."""
+    return _line("overflow-wrap:anywhere", f"{position_s - mark.at_s:.1f} s after {escape(mark.text[:160])}")
 
 
 def instruction_text(snapshot: Snapshot) -> str:

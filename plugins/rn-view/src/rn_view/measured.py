@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -40,7 +39,7 @@ class Measured:
         tcp: measured position [m] (3,) and orientation wxyz (4,) of the TCP in the base frame; None before the first.
         commanded: positions by joint name that were commanded last; empty before the first command.
         trail: positions of the TCP [m], oldest first.
-        actions: monotonic time [s] and values (7,) of the newest actions, oldest first.
+        actions: time [s], as of `Source.now_s`, and values (7,) of the newest actions, oldest first.
         images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
         news: notified with every picture.
     """
@@ -72,6 +71,8 @@ class Measured:
             self._take(JointState, "joint_command", self._on_command_state)
         else:
             self._take(JointTrajectory, "joint_trajectory", self._on_command)
+        if self._source.playback is not None:
+            self._ends.append(self._source.playback.listen(self.clear))
         for camera in self._profile.cameras:
             self._take(Image, f"camera/{camera.name}/image", partial(self._on_image, camera.name))
 
@@ -79,6 +80,12 @@ class Measured:
         """End all subscriptions; idempotent."""
         while self._ends:
             self._ends.pop()()
+
+    def clear(self) -> None:
+        """Forget what came before a jump in a recording; pictures stay until there are others."""
+        self.joints, self.tcp, self.commanded = {}, None, {}
+        self.trail.clear()
+        self.actions.clear()
 
     def _take(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> None:
         self._ends.append(self._source.subscribe(message_type, topic, callback))
@@ -94,7 +101,7 @@ class Measured:
             self.trail.append(position)
 
     def _on_action(self, message: Float64MultiArray) -> None:
-        self.actions.append((time.monotonic(), tuple(message.data)))
+        self.actions.append((self._source.now_s(), tuple(message.data)))
 
     def _on_command(self, message: JointTrajectory) -> None:
         if message.points:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rn_view import markup
 from rn_view.measured import Measured
+from rn_view.player import Player
 from rn_view.plots import History, Plots
 from rn_view.scene import Scene
 from rn_view.source import Snapshot, Source
@@ -67,9 +68,11 @@ class Page:
         self._login: Any = None
         self._tries = _TRIES
         self._is_gone = False
-        button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
-        button.on_click(lambda _: self._press_stop())
-        self._stop_text = client.gui.add_html(markup.stop_text(None, source.label))
+        self._stop_text: Any = None
+        if source.playback is None:
+            button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
+            button.on_click(lambda _: self._press_stop())
+            self._stop_text = client.gui.add_html(markup.stop_text(None, source.label))
 
     @property
     def is_admitted(self) -> bool:
@@ -110,7 +113,8 @@ class Page:
         with self._lock:
             if self._is_gone:
                 return
-            self._stop_text.content = markup.stop_text(snapshot, self._source.label)
+            if self._stop_text is not None:
+                self._stop_text.content = markup.stop_text(snapshot, self._source.label)
             if self._content is not None:
                 self._content.update_state(snapshot, measured)
 
@@ -170,6 +174,7 @@ class _Content:
         self._profile = profile
         self._history = history
         self._gui = gui
+        self._player = Player(gui, source.playback) if source.playback is not None else None
         self._instruction = gui.add_html("")
         if call is not None:
             self._add_buttons(call)
@@ -199,6 +204,8 @@ class _Content:
         self._count = -1
 
     def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
+        if self._player is not None:
+            self._player.update(snapshot)
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
         self._joints.content = markup.joints_table(self._profile, measured.joints)
@@ -206,7 +213,7 @@ class _Content:
         if count != self._count:
             self._list.content = markup.happenings_list(self._source.happenings.newest(_LINES))
             self._count = count
-        self._plots.update(list(measured.actions), self._history)
+        self._plots.update(list(measured.actions), self._history, self._source.now_s())
 
     def show_picture(self, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
         self._images[camera].image = pixels

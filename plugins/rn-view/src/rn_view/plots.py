@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -29,15 +28,16 @@ class History:
     def __init__(self) -> None:
         self._rows: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(maxlen=_MOST_POINTS)
 
-    def add(self, snapshot: Snapshot) -> None:
-        """Keep what a snapshot says now."""
+    def add(self, snapshot: Snapshot, now_s: float) -> None:
+        """Keep what a snapshot says; what is later than `now_s`, the time of what is shown, was before a jump back."""
+        while self._rows and self._rows[-1][0] > now_s:
+            self._rows.pop()
         rates = {row.kind: row.rate_hz for row in snapshot.modules if row.rate_hz is not None}
         latencies = {row.kind: row.latency_ms for row in snapshot.modules if row.latency_ms is not None}
-        self._rows.append((time.monotonic(), rates, latencies))
+        self._rows.append((now_s, rates, latencies))
 
-    def series(self, index: int) -> tuple[F64, ...]:
+    def series(self, index: int, now_s: float) -> tuple[F64, ...]:
         """Ages [s] and values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where nothing was said."""
-        now_s = time.monotonic()
         rows = [row for row in list(self._rows) if now_s - row[0] <= SPAN_S]
         ages = np.array([row[0] - now_s for row in rows])
         values = [np.array([_value(row, index, kind) for row in rows]) for kind in _KINDS]
@@ -58,17 +58,16 @@ class Plots:
         self._latency = _plot(gui, "latency [ms]; 0: not said", _KINDS)
         self._rate = _plot(gui, "rate [Hz]", _KINDS)
 
-    def update(self, actions: Sequence[tuple[float, tuple[float, ...]]], history: History) -> None:
-        """Show the newest values."""
-        now_s = time.monotonic()
+    def update(self, actions: Sequence[tuple[float, tuple[float, ...]]], history: History, now_s: float) -> None:
+        """Show the newest values; `now_s` as of `Source.now_s`."""
         rows = [row for row in actions if now_s - row[0] <= SPAN_S and len(row[1]) == 7]
         rows = rows[:: 1 + len(rows) // _MOST_POINTS]
         ages = np.array([at_s - now_s for at_s, _ in rows])
         values = np.array([row for _, row in rows]).reshape(-1, 7)
         self._translation.data = _filled((ages, *(values[:, :3].T * 1000.0)))
         self._rotation.data = _filled((ages, *np.degrees(values[:, 3:6]).T))
-        self._latency.data = _filled(history.series(2))
-        self._rate.data = _filled(history.series(1))
+        self._latency.data = _filled(history.series(2, now_s))
+        self._rate.data = _filled(history.series(1, now_s))
 
 
 def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> Any:

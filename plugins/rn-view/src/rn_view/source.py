@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from rn_view.happenings import Happenings
+from rn_view.happenings import HappeningList
+from rn_view.playback import Playback
 from roboneuron import RobotProfile
 from roboneuron.config import Config
 
@@ -58,13 +59,21 @@ class Source(Protocol):
     Attributes:
         happenings: what happened, newest last.
         label: says on the page which kind of view it is.
+        playback: plays a recording; None for a robot that is there. Without a robot the page has no emergency stop.
     """
 
     @property
-    def happenings(self) -> Happenings: ...
+    def happenings(self) -> HappeningList: ...
 
     @property
     def label(self) -> str: ...
+
+    @property
+    def playback(self) -> Playback | None: ...
+
+    def now_s(self) -> float:
+        """Time of what is shown [s]: monotonic, or in a recording; in a callback of `subscribe` that of the message."""
+        ...
 
     def config(self) -> Config:
         """The configuration with the robot that runs now."""

@@ -196,7 +196,7 @@ class Viewer:
             return
         self._source.look()
         snapshot = self._source.snapshot()
-        self._history.add(snapshot)
+        self._history.add(snapshot, self._source.now_s())
         for page in self._all_pages():
             page.update_state(snapshot, measured)
 

@@ -6,20 +6,33 @@ import signal
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron import ConfigurationError, MissingDependencyError
+
+if TYPE_CHECKING:
+    from rn_view_attached.source import AttachedSource
+    from rn_view_recorded.source import RecordedSource
+    from roboneuron.config import Config
+    from roboneuron.plugins.registry import Registry
 
 
 class View:
-    """Show the robot of a running server in a browser, from the ROS graph and its state directory.
+    """Show the robot of a running server in a browser, from the ROS graph and its state directory; or a recording.
 
     The server needs not know of it, and nothing is published. The page has the emergency stop, which works as
     `roboneuron estop` does, and no other button; those are on the page of a server with `[view] enabled = true`. Give
     the configuration that the server was started with: it names the robot, its namespace and the state directory.
+
+    With --run the page plays what rn-recorder has recorded, with a slider for the time. No robot and no ROS are needed.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron view`."""
         parser.add_argument("--config", type=Path, metavar="FILE", help="the server's roboneuron.toml")
         parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another")
+        parser.add_argument("--run", help='play a recording: its id, "latest", or a path of MCAP files')
+        parser.add_argument("--directory", type=Path, help="with --run: the directory of runs itself")
         parser.add_argument("--host", help="address to listen on; `view.host` without it")
         parser.add_argument("--port", type=int, help="port, 0 for any free one; `view.port` without it")
 
@@ -34,10 +47,8 @@ class View:
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.viewer import Viewer
-        from rn_view_attached.source import AttachedSource
         from roboneuron.config import feature_options, load_config
         from roboneuron.plugins.discovery import discover
-        from roboneuron.ros.environment import state_directory
 
         config = load_config(arguments.config)
         options, http = feature_options(FEATURE, config), feature_options(HTTP, config)
@@ -45,9 +56,8 @@ class View:
         assert isinstance(http, HttpOptions)
         given = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
         options = ViewOptions.model_validate({**options.model_dump(), **given})
-        directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
-        source = AttachedSource(config, discover(config.disabled_plugins), directory)
         admission = Admission(tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http))
+        source = _source(arguments, config, discover(config.disabled_plugins))
         viewer = Viewer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -62,3 +72,26 @@ class View:
         except KeyboardInterrupt:
             pass
         return 0
+
+
+def _source(arguments: Namespace, config: Config, registry: Registry) -> AttachedSource | RecordedSource:
+    """What the page shows."""
+    if arguments.run is None:
+        if arguments.directory is not None:
+            raise ConfigurationError("--directory goes with --run.", hint="--state names a server's state directory.")
+        from rn_view_attached.source import AttachedSource
+        from roboneuron.ros.environment import state_directory
+
+        directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
+        return AttachedSource(config, registry, directory)
+    try:
+        from rn_runs.command import find_run, open_store
+    except ImportError as error:
+        raise MissingDependencyError(
+            "Recordings are read by rn-recorder, which is not installed.", hint="Run: pip install ./plugins/rn-recorder"
+        ) from error
+    from rn_view_recorded.source import RecordedSource
+
+    run = find_run(open_store(arguments), arguments.run)
+    print(f"Reading {run.id} ...", file=sys.stderr, flush=True)
+    return RecordedSource(run.id, run.files, config, registry)

@@ -36,6 +36,7 @@ class AttachedSource:
     """
 
     label = "attached"
+    playback = None
 
     def __init__(self, config: Config, registry: Registry, state_directory: Path) -> None:
         self._config = config
@@ -58,6 +59,10 @@ class AttachedSource:
         """Leave the graph."""
         self._link.close()
         self._diagnostics.close()
+
+    def now_s(self) -> float:
+        """See Source."""
+        return time.monotonic()
 
     def config(self) -> Config:
         """See Source."""

@@ -1,0 +1,216 @@
+"""The tool play_recording: recorded actions, through the gate, to a simulated robot; in servers started for that."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rn_runs.episodes import Streams, read_streams
+from roboneuron import Arguments, CallContext, Host, InvalidInputError, NotReadyError, RefusedError, Result, Tool
+from roboneuron.contract import ACTION_LABEL, ACTION_SIZE
+from roboneuron.gate import GateRequest
+from roboneuron.server.motion.delivery import Command
+from roboneuron.server.motion.exposed import ACTION_LABEL as ENDPOINT
+from roboneuron.server.motion.exposed import Exposed, gate_request
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import PoseStamped
+
+F64 = NDArray[np.float64]
+_MOST_GAP_S = 1.0
+"""A longer pause between two recorded actions is shortened to this: control holds meanwhile."""
+_RATE_MARGIN = 1.001
+"""Of the least time between two actions: the gate counts in windows, and times are rounded."""
+_READY_S = 10.0
+_SETTLE_S = 1.0
+
+
+class PlayRecording(Arguments):
+    """Arguments of play_recording."""
+
+    files: list[str] = Field(min_length=1, description="MCAP files of one run, on the server's host, oldest first.")
+
+
+class PlayedRecording(Result):
+    """How it went."""
+
+    sent: int = Field(description="actions")
+    duration_s: float
+    dropped: dict[str, int] = Field(description="what control did not act on, by reason")
+    path_m: float = Field(description="length of the recorded path of the TCP")
+    end_m: float | None = Field(
+        description="distance between the TCP's last recorded and last measured position, each from its own beginning"
+    )
+
+
+def playing_tool(host: Host) -> Tool[Any]:
+    """play_recording."""
+
+    async def play(arguments: PlayRecording, context: CallContext) -> PlayedRecording:
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: _play(host, arguments, context, halt), on_cancel=halt.set, on_leave=halt.set
+        )
+
+    return Tool(
+        name="play_recording",
+        title="Play recorded actions",
+        description=(
+            "Send the actions of a recorded run at their recorded pace. The robot must be simulated; control must run, "
+            "and no policy. The gate judges all of them before the first is sent."
+        ),
+        arguments=PlayRecording,
+        result=PlayedRecording,
+        handler=play,
+    )
+
+
+def _play(host: Host, arguments: PlayRecording, context: CallContext, halt: threading.Event) -> PlayedRecording:
+    """Raises InvalidInputError, NotReadyError, RefusedError, StateError."""
+    config = host.config
+    if config.robot.driver != "simulated":
+        raise RefusedError(f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation only.")
+    exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
+    if exposed is None:
+        raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
+    streams = read_streams([Path(name) for name in arguments.files])
+    if not streams.actions:
+        raise InvalidInputError("The run holds no actions.", path="files")
+    requests = _motions(host, exposed, streams, context, arguments)
+    host.supervisor.require_running("control")
+    track = _Track(host, exposed)
+    try:
+        track.wait()
+        before = _dropped(host)
+        begun_s = time.monotonic()
+        sent = _send(host, exposed, requests, halt)
+        halt.wait(_SETTLE_S)
+        duration_s = time.monotonic() - begun_s
+        dropped = {reason: n - before.get(reason, 0) for reason, n in _dropped(host).items()}
+    finally:
+        track.close()
+    path_m, end_m = _compare(streams, track.positions())
+    return PlayedRecording(
+        sent=sent,
+        duration_s=round(duration_s, 3),
+        dropped={reason: count for reason, count in dropped.items() if count > 0},
+        path_m=round(path_m, 5),
+        end_m=None if end_m is None else round(end_m, 5),
+    )
+
+
+def _motions(
+    host: Host, exposed: Exposed, streams: Streams, context: CallContext, arguments: PlayRecording
+) -> list[GateRequest]:
+    """All actions as one motion, or as several where one would last too long; each was judged by the gate.
+
+    Raises:
+        RefusedError: the gate would not let one of them pass.
+    """
+    messages = [action_message(vector) for _, vector in streams.actions]
+    due_s = pace([sent_ns for sent_ns, _ in streams.actions], exposed.endpoint.rate_hz)
+    requests = []
+    for piece in pieces(due_s, host.gate.max_duration_s):
+        at_s = [due_s[i] - due_s[piece.start] for i in piece]
+        request = gate_request(
+            context, "play_recording", exposed, [messages[i] for i in piece], arguments.given(), send_at_s=at_s
+        )
+        verdict = host.gate.check(replace(request, dry_run=True))
+        if not verdict.allowed:
+            raise RefusedError(f"A recorded action is refused, nothing was sent: {verdict.reason}")
+        requests.append(request)
+    return requests
+
+
+def _send(host: Host, exposed: Exposed, requests: Sequence[GateRequest], halt: threading.Event) -> int:
+    """Play the motions, one after the other; returns the number of actions."""
+    sent = 0
+    for request in requests:
+        at_s = request.send_at_s
+        commands = _commands(request.messages, at_s)
+        done = host.gate.play(exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt)
+        if not done.verdict.may_send:
+            raise RefusedError(done.verdict.reason or "The server makes dry runs only.")
+        sent += done.messages
+    return sent
+
+
+def pieces(due_s: Sequence[float], most_s: float) -> Iterator[range]:
+    """Indices of actions in motions of at most `most_s`, in order."""
+    first = 0
+    for index in range(1, len(due_s) + 1):
+        if index == len(due_s) or due_s[index] - due_s[first] > most_s:
+            yield range(first, index)
+            first = index
+
+
+def pace(sent_ns: Sequence[int], rate_hz: float) -> list[float]:
+    """When each action is sent [s]: as recorded, with pauses shortened, and no faster than the endpoint takes them."""
+    least_s = _RATE_MARGIN / rate_hz if rate_hz else 0.0
+    due_s = [0.0]
+    for before, now in pairwise(sent_ns):
+        due_s.append(due_s[-1] + max(least_s, min((now - before) / 1e9, _MOST_GAP_S)))
+    return due_s
+
+
+def action_message(vector: F64) -> Any:
+    """An action of the contract as its message."""
+    from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
+
+    dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
+    return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=vector.tolist())
+
+
+def _commands(messages: Sequence[Any], at_s: Sequence[float]) -> Iterator[Command]:
+    begun_s = time.monotonic()
+    for message, next_s in zip(messages, [*at_s[1:], at_s[-1]], strict=True):
+        yield Command(message=message, due_s=begun_s + next_s)
+
+
+def _dropped(host: Host) -> dict[str, int]:
+    report = host.supervisor.view("control").report
+    return dict(report.dropped_by) if report is not None else {}
+
+
+def _compare(streams: Streams, measured: F64) -> tuple[float, float | None]:
+    recorded = np.array([pose[:3] for _, pose in streams.poses]).reshape(-1, 3)
+    if len(recorded) < 2:
+        return 0.0, None
+    path_m = float(np.linalg.norm(np.diff(recorded, axis=0), axis=1).sum())
+    return path_m, float(np.linalg.norm(measured[-1] - measured[0] - (recorded[-1] - recorded[0])))
+
+
+class _Track:
+    """The measured positions of the TCP in the base frame, from its making to `close`."""
+
+    def __init__(self, host: Host, exposed: Exposed) -> None:
+        _ = host.graph  # first: two threads must not import rclpy at the same time
+        from geometry_msgs.msg import PoseStamped  # heavy
+
+        self._positions: list[tuple[float, float, float]] = []
+        self._came = threading.Event()
+        self.close = host.subscribe(PoseStamped, f"/{exposed.namespace}/ee_pose", self._take)
+
+    def wait(self) -> None:
+        """Wait for the first. Raises NotReadyError."""
+        if not self._came.wait(_READY_S):
+            self.close()
+            raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
+
+    def positions(self) -> F64:
+        """Those that came, float64 (n, 3) [m]."""
+        return np.array(self._positions)
+
+    def _take(self, message: PoseStamped) -> None:
+        position = message.pose.position
+        self._positions.append((position.x, position.y, position.z))
+        self._came.set()

@@ -1,0 +1,96 @@
+"""The server's side of the recorder's process: starts that take long, and orders that a dying recorder took along."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from rn_recorder import process as module
+from rn_recorder.feature import Recorder
+from rn_recorder.options import RecorderOptions
+from rn_recorder.process import RecorderProcess
+from roboneuron import NotReadyError
+
+DIES = """
+import sys
+print('{"status": {"recording": ""}}', flush=True)
+sys.stdin.readline()
+"""
+"""Takes the first order along."""
+OBEYS = """
+import json, sys, threading, time
+run = {"id": ""}
+def tell():
+    while True:
+        print(json.dumps({"status": {"recording": run["id"]}}), flush=True)
+        time.sleep(0.05)
+threading.Thread(target=tell, daemon=True).start()
+for line in sys.stdin:
+    order = json.loads(line)
+    if order["do"] == "leave":
+        break
+    if order["do"] == "start":
+        run["id"] = order["name"] + "-run"
+        print(json.dumps({"re": order["number"], "id": run["id"]}), flush=True)
+"""
+SLOW = "import time; time.sleep(1.0)\n" + OBEYS
+
+
+@pytest.fixture
+def keep(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RecorderProcess]]:
+    """Return a function that keeps recorders made of these programs, one after the other, the last one again."""
+    monkeypatch.setattr(module, "_BACKOFF_S", (0.01,))
+    kept: list[RecorderProcess] = []
+
+    def start(*programs: str) -> RecorderProcess:
+        def spawn(number: int, resume: str, name: str) -> subprocess.Popen[bytes]:
+            program = programs[min(number, len(programs) - 1)]
+            command = [sys.executable, "-c", program]
+            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
+
+        process = RecorderProcess(spawn)
+        kept.append(process)
+        process.start()
+        return process
+
+    yield start
+    for process in kept:
+        process.close()
+
+
+def test_a_start_that_takes_long_is_waited_for(keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STALLED_S", 0.3)
+    killed: list[dict[str, Any]] = []
+    monkeypatch.setattr(RecorderProcess, "_kill", lambda process, child: killed.append(process.status))
+    process = keep(SLOW)
+    assert process.wait_for_status()
+    assert {} not in killed
+
+
+def test_who_asks_a_recorder_that_ends_is_told_so_at_once(keep: Callable[..., Any]) -> None:
+    process = keep(DIES, OBEYS)
+    assert process.wait_for_status()
+    with pytest.raises(NotReadyError, match="ended before it answered"):
+        process.ask({"do": "start", "name": "mine", "facts": {}}, timeout_s=60.0)
+
+
+def test_the_recording_of_a_server_begins_with_the_recorder_that_obeys(keep: Callable[..., Any]) -> None:
+    process = keep(DIES, OBEYS)
+    Recorder(RecorderOptions())._record(process)
+    assert process._resume == ("server-run", "server")
+    assert process.starts >= 2
+
+
+def test_nobody_waits_for_a_recorder_that_is_closed() -> None:
+    process = RecorderProcess(lambda number, resume, name: pytest.fail("nobody starts it"))
+    found: list[bool] = []
+    waiting = threading.Thread(target=lambda: found.append(process.wait_for_status()))
+    waiting.start()
+    process.close()
+    waiting.join(30.0)
+    assert found == [False]

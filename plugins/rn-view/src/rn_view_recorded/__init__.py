@@ -1,0 +1,1 @@
+"""A recorded run in the view: `roboneuron view --run RUN`. Needs rn-recorder."""

@@ -1,0 +1,265 @@
+"""A recorded run as the source of a view: its messages are delivered as the topics would, at the time that is shown."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from rn_runs.episodes import stamp_of
+from rn_runs.files import Record
+from rn_runs.images import pixels_of
+from rn_runs.timeline import Timeline
+from rn_view.happenings import Happening
+from rn_view.live import robot_profile
+from rn_view.playback import Playback
+from rn_view.source import ModuleRow, Snapshot
+from rn_view_recorded.log import RunLog
+from roboneuron import InvalidInputError, RobotProfile, StateError
+from roboneuron.config import Config
+from roboneuron.plugins.registry import Registry
+from roboneuron.supervisor.changes import Periodic
+from roboneuron.supervisor.health import ModuleView, Report, assess
+
+log = logging.getLogger(__name__)
+M = TypeVar("M")
+_KINDS = ("robot", "perception", "inference", "control")
+_STEP_S = 1 / 30
+_HISTORY_S = 30.0
+"""So much of the actions and of the TCP's path is shown after a jump."""
+_MOST_HISTORY = 300
+_FRESH_S = 1.0
+"""Modules report five times a second; what is older says nothing of a moment."""
+_WHOLE = ("action", "ee_pose")
+"""Topics of which every message is delivered; of others the newest of each step."""
+
+
+class RecordedSource:
+    """Source of a view of one run. Nothing is connected to ROS and nothing is sent.
+
+    Args:
+        run: what the run is called.
+        files: its MCAP files.
+        config: what holds where the run does not say how its robot was configured.
+        registry: installed plugins; the recorded robot's must be among them.
+        clock: of playing [s].
+
+    Raises:
+        InvalidInputError: the run holds no messages.
+        OSError: it cannot be read.
+    """
+
+    label = "recorded"
+
+    def __init__(
+        self,
+        run: str,
+        files: Sequence[Path],
+        config: Config,
+        registry: Registry,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._timeline = Timeline(files)
+        self._log = RunLog(self._timeline)
+        self._registry = registry
+        self._config = _recorded_config(self._timeline.about, config)
+        begin_ns, end_ns = self._timeline.begin_ns, self._timeline.end_ns
+        self.playback = Playback(run, begin_ns / 1e9, (end_ns - begin_ns) / 1e9, self._log.marks)
+        self._lock = threading.RLock()
+        """Guards the timeline and the fields below: pages, their thread of states, and the one that plays."""
+        self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
+        self._shown_ns = begin_ns
+        self._message_s = 0.0
+        self._delivering = 0
+        self._reports: dict[tuple[int, int], list[tuple[str, Report]]] = {}
+        self._unusable: set[str] = set()
+        self._clock = clock
+        self._stepped_s = clock()
+        self._player = Periodic("view-playback", _STEP_S, self.step)
+
+    def open(self) -> None:
+        """Begin to play."""
+        self._player.start()
+
+    def close(self) -> None:
+        """End; idempotent."""
+        self._player.close()
+
+    @property
+    def happenings(self) -> _Then:
+        """See Source: those until the time that is shown."""
+        return _Then(self._log.lines(self._shown_ns))
+
+    def config(self) -> Config:
+        """See Source."""
+        return self._config
+
+    def profile(self) -> RobotProfile:
+        """See Source."""
+        return robot_profile(self._config, self._registry)
+
+    def now_s(self) -> float:
+        """See Source."""
+        return self._message_s if threading.get_ident() == self._delivering else self._shown_ns / 1e9
+
+    def snapshot(self) -> Snapshot:
+        """See Source."""
+        with self._lock:
+            at_ns = self._shown_ns
+            reports = self._reports_at(at_ns)
+            latched, cause = self._log.stop(at_ns)
+            told = reports.get("inference")
+            return Snapshot(
+                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
+                is_latched=latched,
+                cause=cause,
+                instruction=(told.instruction if told is not None else "") or self._log.instruction(at_ns),
+            )
+
+    def look(self) -> None:
+        """See Source: everything was read already."""
+
+    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+        """See Source."""
+        place = f"/{self._config.namespace}/{topic}"
+        with self._lock:
+            if place not in self._timeline.topics and f"{place}/compressed" in self._timeline.topics:
+                place += "/compressed"
+            self._callbacks.setdefault(place, []).append(callback)
+        return lambda: self._callbacks[place].remove(callback)
+
+    def press_stop(self, who: str) -> str:
+        """See Source; no page has the button."""
+        raise StateError("This is a recording: no robot is stopped here.", hint="Use roboneuron estop.")
+
+    def step(self) -> None:
+        """Deliver what is due now."""
+        now_s = self._clock()
+        elapsed_s, self._stepped_s = now_s - self._stepped_s, now_s
+        if not any(self._callbacks.values()):
+            return  # nobody looks
+        self._delivering = threading.get_ident()
+        position_s, jumped = self.playback.advance(elapsed_s)
+        with self._lock:
+            until_ns = self._timeline.begin_ns + round(position_s * 1e9)
+            before_ns, self._shown_ns = self._shown_ns, until_ns
+            if jumped:
+                self.playback.tell_jump()
+            for topic, callbacks in self._callbacks.items():
+                for record in self._due(topic, before_ns, until_ns, jumped) if callbacks else ():
+                    self._deliver(record, callbacks)
+            self._message_s = until_ns / 1e9
+
+    def _due(self, topic: str, before_ns: int, until_ns: int, jumped: bool) -> list[Record]:
+        """Messages to deliver, oldest first."""
+        if topic.rpartition("/")[2] in _WHOLE:
+            since_ns = until_ns - round(_HISTORY_S * 1e9) if jumped else before_ns
+            found = list(self._timeline.between(topic, since_ns, until_ns))
+            step = 1 + len(found) // _MOST_HISTORY
+            return found[::-1][::step][::-1]
+        newest = self._timeline.newest(topic, until_ns)
+        is_new = newest is not None and (jumped or newest.log_ns > before_ns)
+        return [newest] if newest is not None and is_new else []
+
+    def _deliver(self, record: Record, callbacks: Sequence[Callable[[Any], None]]) -> None:
+        if record.topic in self._unusable:
+            return
+        try:
+            message = self._timeline.decode(record)
+            if record.type.endswith("Image"):
+                message = _as_image(message, record)
+        except ValueError as error:
+            self._unusable.add(record.topic)
+            log.warning("%s cannot be shown: %s", record.topic, error)
+            return
+        self._message_s = record.log_ns / 1e9
+        for callback in list(callbacks):
+            callback(message)
+
+    def _reports_at(self, at_ns: int) -> dict[str, Report]:
+        """What the modules had said last, by kind, unless that was long before."""
+        found: dict[str, Report] = {}
+        seen: dict[tuple[int, int], list[tuple[str, Report]]] = {}
+        for record in self._timeline.between("/diagnostics", at_ns - round(_FRESH_S * 1e9), at_ns):
+            key = (record.log_ns, record.sequence)
+            told = seen[key] = self._reports.get(key) or self._read_reports(record)
+            found.update(told)
+        self._reports = seen
+        return found
+
+    def _read_reports(self, record: Record) -> list[tuple[str, Report]]:
+        read = []
+        for status in self._timeline.decode(record).status:
+            namespace, _, node = status.name.strip("/").rpartition("/")
+            kind = next((kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None)
+            values = {pair.key: pair.value for pair in status.values}
+            if kind is not None and namespace == self._config.namespace and "state" in values:
+                read.append((kind, Report.from_values(values, received_s=record.log_ns / 1e9)))
+        return read
+
+    def _row(self, kind: str, report: Report | None, at_ns: int) -> ModuleRow:
+        health, why = self._log.health(kind, at_ns)
+        chosen = self._log.chosen(kind, at_ns)
+        if report is None:
+            return ModuleRow(kind=kind, health=health or "stopped", text=why, chosen=chosen)
+        assessed = assess(ModuleView(kind=kind, phase="running", report=report), at_ns / 1e9)  # type: ignore[arg-type]
+        return ModuleRow(
+            kind=kind,
+            health=health or assessed,
+            text=why or report.error or (f"waits for {report.waiting_for}" if report.waiting_for else report.note),
+            chosen=chosen,
+            rate_hz=report.rate_hz,
+            latency_ms=report.latency_ms,
+            latency_p99_ms=report.latency_p99_ms,
+            age_ms=report.age_ms,
+            dropped=report.dropped,
+        )
+
+
+class _Then:
+    """The happenings until a moment; oldest first."""
+
+    def __init__(self, happenings: list[Happening]) -> None:
+        self._happenings = happenings
+        self.count = len(happenings)
+
+    def newest(self, most: int) -> list[Happening]:
+        """The newest ones, newest first."""
+        return self._happenings[: -most - 1 : -1]
+
+
+def _recorded_config(about: dict[str, str], config: Config) -> Config:
+    """The configuration that the run was recorded with; `config` with its robot when the run does not hold one.
+
+    Raises:
+        InvalidInputError: it does not even say of which robot it is.
+    """
+    try:
+        found = Config.model_validate(json.loads(about["config"]))
+    except (KeyError, ValueError, ValidationError):
+        if "robot" not in about:
+            raise InvalidInputError("The run does not say of which robot it is.") from None
+        log.warning("The run does not say how its robot was configured: the limits shown are those of now.")
+        robot = config.robot.model_copy(update={"name": about["robot"]})
+        found = config.model_copy(update={"robot": robot})
+    namespace = about.get("namespace") or found.namespace
+    return found.model_copy(update={"robot": found.robot.model_copy(update={"namespace": namespace})})
+
+
+def _as_image(message: Any, record: Record) -> Any:
+    """A recorded picture as the message that its camera sent."""
+    from sensor_msgs.msg import Image  # heavy
+
+    pixels = pixels_of(message, record.type)
+    height, width = pixels.shape[:2]
+    image = Image(width=width, height=height, step=3 * width, encoding="rgb8")
+    image.data = pixels.tobytes()
+    stamp_ns = stamp_of(record.data)
+    image.header.stamp.sec, image.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return image
