@@ -42,6 +42,8 @@ STEP_S = 0.001
 LATE_S = 0.002
 SWITCH_S = (8.0, 25.0)
 ACTION_HZ = 50.0
+MISSING = 2.0
+"""In the simulator's record of commands: it had to extrapolate, for none came in time."""
 EVERY = 20
 """Each how many rows the TCP and the distances are computed."""
 
@@ -136,8 +138,13 @@ def policy(cell: FciCell, minutes: float, seed: int) -> tuple[float, int]:
     )
     print(f"| control success rate | median {np.median(moving):.2f}, worst {min(moving):.2f} |")
     cell.record(1.0)  # so that what is buffered is written
-    arrivals = np.fromfile(cell.folder / "record.bin.commands")
-    periods = np.diff(arrivals[arrivals > began_s]) * 1e3
+    commands = np.fromfile(cell.folder / "record.bin.commands").reshape(-1, 11)
+    commands = commands[commands[:, 0] > began_s]
+    is_missing = np.concatenate([[False], commands[:, 2] == MISSING, [False]])
+    runs = np.diff(np.flatnonzero(np.diff(is_missing)))[::2]
+    print(f"| cycles without a command | {is_missing.sum()} in {len(runs)} runs, the longest {max(runs, default=0)} |")
+    arrivals = commands[commands[:, 2] != MISSING, 0]
+    periods = np.diff(arrivals) * 1e3
     periods = periods[periods < 500.0]  # between two motions
     print(
         f"| period of the control loop, by {len(periods)} commands as they arrived | median "
@@ -183,13 +190,20 @@ def main() -> int:
     parser.add_argument("--load", type=int, default=0, help="busy processes beside it")
     parser.add_argument("--parts", default="policy,random")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--factor", type=float, default=0.3, help="dynamics_factor; its default is 0.3")
     arguments = parser.parse_args()
-    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, {arguments.load} busy processes beside it")
+    print(
+        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, {arguments.load} busy processes beside it, "
+        f"dynamics_factor {arguments.factor}"
+    )
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(arguments.load)]
     problems = 0
     try:
         for part in arguments.parts.split(","):
-            with tempfile.TemporaryDirectory(prefix=f"fci-{part}-") as folder, served_fci(Path(folder)) as cell:
+            with (
+                tempfile.TemporaryDirectory(prefix=f"fci-{part}-") as folder,
+                served_fci(Path(folder), factor=arguments.factor) as cell,
+            ):
                 if part == "policy":
                     began_s, faults = policy(cell, arguments.minutes, arguments.seed)
                 else:

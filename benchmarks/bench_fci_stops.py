@@ -6,7 +6,7 @@ One line of out/bench-fci/stops.jsonl per trial; a run that was ended goes on wh
 joints of the simulator are recorded 1000 times per second. Each trial is judged by itself:
 
 - reaction: from pressing the stop to the moment from which the fastest joint only slows down;
-- braking: from there to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of 2200 rad/s3 at both
+- braking: from there to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of 1800 rad/s3 at both
   ends and `SERVO_S`, in which the simulated servo follows.
 """
 

@@ -30,7 +30,9 @@ _PATIENCE_S = 30.0
 
 @pytest.fixture(scope="module")
 def sim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FrankaSim]:
-    with FrankaSim(PYTHON, seed=3, log=tmp_path_factory.mktemp("sim") / "log") as running:
+    with FrankaSim(
+        PYTHON, seed=3, options=["--enforce-motion-limits"], log=tmp_path_factory.mktemp("sim") / "log"
+    ) as running:
         yield running
 
 
@@ -88,6 +90,26 @@ def test_hold_stops_on_the_way(driver: FciDriver, sim: FrankaSim) -> None:
     driver.hold()
     until(driver, lambda: driver.read().detail["mode"] == "Idle")
     assert truth(sim)[0] < 1.4
+
+
+def test_hold_does_not_come_back(driver: FciDriver, sim: FrankaSim) -> None:
+    driver.send(go(HOME))
+    until(driver, lambda: driver.read().detail["mode"] == "Idle")
+    driver.send(go(HOME + np.array([-1.5, 0, 0, 0, 0, 0, 0]), 0.5))
+    until(driver, lambda: bool(sim.tell()["velocities"][0] < -0.4))
+    driver.hold()
+    passed = [truth(sim)[0]]
+    until(driver, lambda: passed.append(truth(sim)[0]) or driver.read().detail["mode"] == "Idle")
+    assert truth(sim)[0] - min(passed) < 3e-3  # at 0.4 rad/s the way back was 10 mrad
+
+
+def test_a_state_that_is_lost_on_the_way_is_no_fault(driver: FciDriver, sim: FrankaSim) -> None:
+    for side in (1, -1, 1, -1):
+        driver.send(go(HOME + 0.3 * side, 0.1))
+        until(driver, lambda: bool(np.abs(sim.tell()["velocities"]).max() > 0.2))
+        sim.tell(drop=1)
+        until(driver, lambda: bool(np.abs(sim.tell()["velocities"]).max() < 0.05))
+    assert driver.read().detail["fault"] == ""
 
 
 def test_the_gripper_says_that_it_holds_nothing_and_opens_again(driver: FciDriver) -> None:

@@ -2,9 +2,11 @@
 
 Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port: "{}" asks
 for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a motion with that
-flag. With --record FILE, each physics step appends 15 float64 to it: monotonic time [s], joints [rad] and their
-velocities [rad/s], and each command its time to FILE.commands; {"flush": 1} writes what is buffered. Facts about
-franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`.
+flag; {"drop": n} loses the next n states on their way to the client. With --record FILE, each physics step appends 15
+float64 to it: monotonic time [s], joints [rad] and their velocities [rad/s]. Each command appends 11 to FILE.commands:
+monotonic time [s], number of the state that it answers, 0 in time or 1 late or 2 missing (the simulator extrapolated),
+whether it was accepted, joints [rad]; {"flush": 1} writes what is buffered. Facts about franka-sim: its version 1.1.7,
+`franka_sim.mujoco_franka_sim`, `franka_sim.limits.checker`.
 """
 
 # mypy: ignore-errors
@@ -17,12 +19,15 @@ import signal
 import socket
 import threading
 import time
+import types
 
 import franka_sim.mujoco_franka_sim as backend
 import mujoco
 import numpy as np
 from franka_sim import FrankaSimServer
 from franka_sim.franka_protocol import RobotMode
+from franka_sim.limits.checker import MotionLimitChecker
+from franka_sim.server import state_stream
 
 JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))
 FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
@@ -32,6 +37,7 @@ PR_SET_PDEATHSIG = 1
 ARMATURE = 0.195
 """Of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1 ms."""
 FINGER_ARMATURE_KG = 0.3
+IN_TIME, LATE, MISSING = 0, 1, 2
 
 
 def solid(geom, friction, bit):
@@ -80,6 +86,8 @@ class SceneSim(backend.MujocoFrankaSim):
         super().__init__(enable_hand=True)
         self.record = record and open(record, "wb")  # noqa: SIM115 - written to the end
         self.commands = record and open(record + ".commands", "wb")  # noqa: SIM115
+        if record:
+            record_commands(self.commands)
         self.scene = scene
         self.truth = {}
         self.keep_mode = lambda: None
@@ -96,12 +104,6 @@ class SceneSim(backend.MujocoFrankaSim):
         speed = self.data.qvel[self.finger_dofs_idx[0]] - self.data.qvel[self.finger_dofs_idx[1]]
         keep = 4000.0 * apart + 60.0 * speed
         return force + np.array([-keep, keep])
-
-    def update_joint_positions(self, positions):
-        """As the parent's; called when a command of a joint position motion has come."""
-        super().update_joint_positions(positions)
-        if self.commands:
-            self.commands.write(np.array([time.monotonic()]).tobytes())
 
     def _read_and_publish_state(self):
         super()._read_and_publish_state()
@@ -124,6 +126,40 @@ class SceneSim(backend.MujocoFrankaSim):
         }
 
 
+class LossySocket(socket.socket):
+    """Loses as many of the robot's states as it is told to."""
+
+    to_drop = 0
+
+    def sendto(self, data, address):
+        """As the parent's, for what is not lost."""
+        if LossySocket.to_drop:
+            LossySocket.to_drop -= 1
+            return len(data)
+        return super().sendto(data, address)
+
+
+def record_commands(file):
+    """Write what the simulator's checker of motion limits is given."""
+    absorb, extrapolate = MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate
+
+    def write(command, kind, accepted):
+        file.write(np.array([time.monotonic(), command["message_id"], kind, accepted, *command["q_c"]]).tobytes())
+
+    def absorb_command(self, command, joint_positions=None, *, fresh, enforce=False):
+        outcome = absorb(self, command, joint_positions, fresh=fresh, enforce=enforce)
+        write(command, IN_TIME if fresh else LATE, outcome.accepted)
+        return outcome
+
+    def extrapolate_command(self, message_id):
+        outcome = extrapolate(self, message_id)
+        if outcome is not None:
+            write(outcome[0], MISSING, outcome[1] is None)
+        return outcome
+
+    MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate = absorb_command, extrapolate_command
+
+
 def tell(sim, server, address):
     """Answer questions and play the person at the arm."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -141,6 +177,7 @@ def tell(sim, server, address):
             sim.keep_mode = lambda kept=kept: server.robot_state.state.update(kept)
         if "error" in asked:
             server._abort_with_error(int(asked["error"]), "told to stop")
+        LossySocket.to_drop = int(asked.get("drop", LossySocket.to_drop))
         if "flush" in asked and sim.record:
             sim.record.flush()
             sim.commands.flush()
@@ -160,6 +197,7 @@ def main():
     parser.add_argument("--enforce-motion-limits", action="store_true")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    state_stream.socket = types.SimpleNamespace(**{**vars(socket), "socket": LossySocket})
     sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()), arguments.record)
     server = FrankaSimServer(
         host=arguments.host,

@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.fci.planner import (
-    ACCELERATION_LIMIT_RAD_S2,
     JERK_LIMIT_RAD_S3,
+    MOTION_SHARE,
+    STOP_ACCELERATION_RAD_S2,
     VELOCITY_LIMIT_RAD_S,
     Plan,
+    braking_distance,
 )
 
 log = logging.getLogger(__name__)
@@ -36,6 +38,8 @@ _STOP_S = 5.0
 _BRAKING_S = 0.5
 """Longer than any stop: 2.6 rad/s at 7.4 rad/s^2 takes 0.36 s."""
 _LOOK_S = 0.002
+_DELAY_S = 0.001
+"""From the state that a stop is planned from to its first command."""
 _NO_FILTER_HZ = 1000.0
 """libfranka's kMaxCutoffFrequency: with its low-pass filter on, a change of target is a jump in acceleration."""
 
@@ -97,7 +101,7 @@ class FciArm:
             raise faults.unreachable(host, str(error.strerror or error)) from error
         self._robot = self._open_in_time(host)
         self._robot.joint_velocity_limit.set(VELOCITY_LIMIT_RAD_S)
-        self._robot.joint_acceleration_limit.set(ACCELERATION_LIMIT_RAD_S2)
+        self._robot.joint_acceleration_limit.set(STOP_ACCELERATION_RAD_S2)
         self._robot.joint_jerk_limit.set(JERK_LIMIT_RAD_S3)
         self._robot.set_collision_behavior(self._options.collision_torque_nm, self._options.collision_force_n)
         if self._options.load_kg > 0.0:
@@ -154,7 +158,7 @@ class FciArm:
     def go(self, plan: Plan) -> None:
         """Go to the plan's target; replaces the motion before, without a jump. See `await_rest`."""
         client, factor = self._client, self._options.dynamics_factor
-        dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor, factor)
+        dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor * MOTION_SHARE, factor)
         waypoint = client.JointWaypoint(client.JointState(plan.target), relative_dynamics_factor=dynamics)
         self._is_stopping = False
         self._move(client.JointWaypointMotion([waypoint], return_when_finished=False))
@@ -162,12 +166,23 @@ class FciArm:
     def stop(self) -> None:
         """Brake with the limits' acceleration and jerk, then end the control loop; returns at once.
 
-        What stops already is left alone: franka-sim aborts motions that are replaced at a high acceleration, and a stop
-        uses the highest.
+        What stops already is left alone, and see `await_rest`: what replaces a stop may exceed the arm's limit of jerk.
         """
         if self.is_moving and not self._is_stopping:
-            self._move(self._client.JointStopMotion())
+            self._move(self._braking())
             self._is_stopping = True
+
+    def _braking(self) -> Any:
+        """A motion to the place where the arm comes to rest soonest.
+
+        The client library's own `JointStopMotion` (franky 2.0.0) is a motion to the place where the stop began: the arm
+        brakes and then drives back, at 1 rad/s by 0.06 rad with up to 0.8 rad/s. The way is given relative to the
+        command at the moment of the hand-over, so that what passes until then does not count.
+        """
+        client, state = self._client, self._robot.state
+        velocity, acceleration = (np.array(values, dtype=np.float64) for values in (state.dq_d, state.ddq_d))
+        way = braking_distance(velocity, acceleration) + velocity * _DELAY_S
+        return client.JointMotion(client.JointState(way), client.ReferenceType.Relative)
 
     def await_rest(self) -> None:
         """Return when a stop that has begun is over; at once when there is none."""
@@ -176,14 +191,15 @@ class FciArm:
             time.sleep(_LOOK_S)
 
     def _move(self, motion: Any) -> None:
-        with self._realtime_threads():
+        # The thread of the control loop inherits the priority when it is started. While it runs, it goes first.
+        with self._realtime_threads(_PRIORITY - 1 if self.is_moving else _PRIORITY):
             self._robot.move(motion, asynchronous=True, cutoff_frequency=_NO_FILTER_HZ)
 
     @contextmanager
-    def _realtime_threads(self) -> Iterator[None]:
+    def _realtime_threads(self, priority: int) -> Iterator[None]:
         """Threads started within the block are scheduled before ordinary ones, where the system allows it."""
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError:
             yield
             return
@@ -199,10 +215,10 @@ class FciArm:
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice."""
-        robot, self._robot = self._robot, None
+        robot = self._robot
         if robot is None:
             return
         with suppress(Exception):  # whatever it answers, it is left
-            if robot.is_in_control:
-                robot.move(self._client.JointStopMotion(), asynchronous=True, cutoff_frequency=_NO_FILTER_HZ)
-                robot.join_motion(_STOP_S)
+            self.stop()
+            robot.join_motion(_STOP_S)
+        self._robot = None

@@ -22,7 +22,8 @@ class FciDriverOptions(BaseModel):
         default="required",
         description="required refuses a kernel without PREEMPT_RT, as libfranka does; ignored is for simulators.",
     )
-    # with 0.8 to 1.0 franka-sim aborted 30 of 75 motions that a stop replaced (acceleration discontinuity); docs/fr3.md
+    # The client library (franky 2.0.0) counts a missed cycle twice: its next commands have up to 1.5 times the
+    # acceleration and a jerk of 1000/s * acceleration more. Up to 0.5 this stays within the arm's limits: docs/fr3.md.
     dynamics_factor: Annotated[float, ConfigurationOnly()] = Field(
         default=0.3,
         gt=0.0,
