@@ -32,7 +32,7 @@ def test_without_its_hashes_every_line_is_the_default_of_its_feature() -> None:
 
 def test_what_has_no_default_is_explained_and_has_no_value() -> None:
     lines = feature_text().splitlines()
-    assert any(line.startswith("## lease_s: ") for line in lines)
+    assert any(line.startswith("## joints: ") for line in lines)
     assert any(line.startswith("## [[expose]]") for line in lines)
     assert not any("= none" in line for line in lines)
 

@@ -12,13 +12,14 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_serve_http.feature import HttpFeature
+from rn_serve_http.feature import HttpFeature, is_moving
 from rn_serve_http.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
 Make = Callable[[str], Application]
@@ -56,22 +57,56 @@ def test_a_client_on_stdio_takes_over_and_renews_its_lease(make: Make) -> None:
     assert [answer["operator"] for answer in anyio.run(scenario)] == ["agent on stdio"] * 2
 
 
-def test_motion_ends_and_people_are_told_when_the_lease_lapses(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("is_moving", [True, False])
+def test_motion_ends_and_people_are_told_when_the_lease_lapses(
+    make: Make, monkeypatch: pytest.MonkeyPatch, is_moving: bool
+) -> None:
     application = make("[http]\nlease_s = 0.05\n")
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
     monkeypatch.setattr(application.direct.arbiter, "end_all", lambda reason, timeout_s: ended.append(reason))
+    monkeypatch.setattr("rn_serve_http.feature.is_moving", lambda host: is_moving)
     application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)
     lease = application.host.feature("http", HttpFeature).lease
     assert lease is not None
     lease.take_over("ann", "operator")
     deadline_s = time.monotonic() + 30.0
-    while not faults:
+    while not ended:
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
-    assert faults == [("inference", "lease")]
+    lease.close()  # returns when the lapse is dealt with
+    assert faults == ([("inference", "lease")] if is_moving else [])
     assert "The lease of 'ann' has lapsed" in ended[0]
+
+
+@pytest.mark.parametrize(
+    ("transport", "lease_s", "expected_s"),
+    [
+        ("http", "", 120.0),
+        ("http", "lease_s = 20.0", 20.0),
+        ("http", 'lease_s = "never"', None),
+        ("stdio", "", None),
+        ("stdio", "lease_s = 20.0", 20.0),
+    ],
+)
+def test_leases_are_on_over_http_unless_they_are_configured_away(
+    make: Make, transport: str, lease_s: str, expected_s: float | None
+) -> None:
+    application = make(f'[server]\ntransport = "{transport}"\n[http]\n{lease_s}\n')
+
+    async def scenario() -> Any:
+        async with Client(application.server) as client:
+            return (await client.call_tool("heartbeat", {})).structured_content
+
+    assert anyio.run(scenario)["lease_s"] == expected_s
+
+
+def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    host = make("").host
+    assert not is_moving(host)
+    monkeypatch.setattr(host.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running"))
+    assert is_moving(host)
 
 
 def test_modules_do_not_get_the_variables_of_tokens(make: Make) -> None:

@@ -19,6 +19,7 @@ import pytest
 from rn_serve_http import connections
 from rn_serve_http.connections import BODY_S, HEADERS_S, MOST_UNPROVEN, MOST_UNPROVEN_OF_ONE, ConnectionTable
 from rn_serve_http.feature import HttpFeature
+from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.peers import peer_process
@@ -70,13 +71,17 @@ def bearer(role: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {TOKENS[role]}"}
 
 
+def lease_of(application: Application) -> OperatorLease:
+    lease = application.host.feature("http", HttpFeature).lease
+    assert lease is not None
+    return lease
+
+
 @contextmanager
-def serving(application: Application, tokens: TokenTable) -> Iterator[Server]:
+def serving(application: Application, tokens: TokenTable, lease: OperatorLease | None = None) -> Iterator[Server]:
     options = HttpOptions(port=0, allowed_origins=(PAGE,))
-    feature = application.host.feature("http", HttpFeature)
-    assert feature.lease is not None
     with listen(options, tokens) as listener:
-        server = make_server(application.server, options, HostRules(options), tokens, feature.lease.release)
+        server = make_server(application.server, options, HostRules(options), tokens, lease or lease_of(application))
         thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
         thread.start()
         deadline_s = time.monotonic() + 30
@@ -336,6 +341,27 @@ def test_clients_without_a_session_are_told_apart(open_server: Server) -> None:
     assert "(ann)' operates the robot" in anyio.run(act, "bob")
 
 
+def test_an_operator_with_an_open_stream_is_not_silent(application: Application) -> None:
+    now_s, lapses = [100.0], list[str]()
+    lease = OperatorLease(60.0, application.host.audit, lapses.append, clock=lambda: now_s[0])
+    with serving(application, TABLE, lease) as server:
+        session = server.open_session(**bearer("operator"))
+        lease.take_over("operator", "operator")
+        stream = {**session, "Accept": "text/event-stream"}
+        with httpx2.Client(timeout=30) as http, http.stream("GET", server.url, headers=stream) as answer:
+            assert answer.status_code == 200
+            now_s[0] += 3600.0
+            lease.look()
+            assert lapses == []
+        deadline_s = time.monotonic() + 30.0
+        while not lapses:  # the loss of the connection is noticed, and the time from then on counts
+            assert time.monotonic() < deadline_s
+            now_s[0] += 1.0
+            lease.look()
+            time.sleep(0.01)
+    assert "'operator' has lapsed: silent for 6" in lapses[0]
+
+
 def test_a_client_without_a_session_is_known_by_its_process() -> None:
     import os
 
@@ -350,7 +376,7 @@ def test_where_it_serves_is_said_once_it_does(application: Application, caplog: 
     caplog.set_level(logging.INFO)
     options = HttpOptions(port=0)
     with listen(options, TABLE) as listener:
-        server = make_server(application.server, options, HostRules(options), TABLE)
+        server = make_server(application.server, options, HostRules(options), TABLE, lease_of(application))
         assert "serves MCP on" not in caplog.text
         seen: list[bool] = []
 

@@ -37,7 +37,7 @@ def application(tmp_path):
 
 def press(application, holder, tool):
     """What a page is told of its button."""
-    operator = LiveOperator(application.host, lambda who: None)
+    operator = LiveOperator(application.host)
 
     async def call():
         operator.loop = asyncio.get_running_loop()
@@ -58,7 +58,7 @@ def test_no_button_releases_the_emergency_stop(application):
 
 
 def test_a_server_that_serves_nobody_yet_says_so(application):
-    assert LiveOperator(application.host, lambda who: None).call(OPERATOR, "stop_all", {}).result(1)
+    assert LiveOperator(application.host).call(OPERATOR, "stop_all", {}).result(1)
 
 
 def test_the_state_and_what_the_gate_refused_are_shown(application):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,7 @@ class FakeOperator:
     def __init__(self) -> None:
         self.calls: list[tuple[str, str, dict[str, Any]]] = []
         self.left: list[str] = []
+        self.open: list[str] = []
         self.called = threading.Event()
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
@@ -130,6 +132,14 @@ class FakeOperator:
         self.called.set()
         done.set_result("")
         return done
+
+    @contextmanager
+    def present(self, holder: Holder) -> Iterator[None]:
+        self.open.append(holder.who)
+        try:
+            yield
+        finally:
+            self.open.remove(holder.who)
 
     def leave(self, holder: Holder) -> None:
         self.left.append(holder.who)

@@ -86,7 +86,9 @@ def _literal(value: object) -> str:
 def _type(entry: dict[str, object]) -> str:
     if "anyOf" in entry:
         alternatives = [a for a in entry["anyOf"] if a.get("type") != "null"]  # type: ignore[attr-defined]
-        return _type(alternatives[0])
+        return " or ".join(dict.fromkeys(_type(alternative) for alternative in alternatives))
+    if "const" in entry:
+        return f"`{entry['const']}`"
     if "enum" in entry:
         return " or ".join(f"`{value}`" for value in entry["enum"])  # type: ignore[attr-defined]
     bounds = []

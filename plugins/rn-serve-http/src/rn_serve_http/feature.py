@@ -14,12 +14,24 @@ from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.tokens import TokenFiles, read_tokens
-from roboneuron import Feature, Host, Tool
+from roboneuron import Feature, Host, RefusedError, Tool
 from roboneuron.config import Config
 from roboneuron.server.feature import Transport
 
 _LAPSE_S = 2.0
 """Longest wait for the end of motion when a lease lapsed."""
+
+
+def is_moving(host: Host) -> bool:
+    """Whether a policy runs, or a call moves something."""
+    if host.supervisor.view("inference").phase != "stopped":
+        return True
+    for exposed in host.gate.exposed:
+        try:
+            host.gate.check_free(exposed)
+        except RefusedError:
+            return True
+    return False
 
 
 class HttpFeature(Feature[HttpOptions]):
@@ -45,10 +57,18 @@ class HttpFeature(Feature[HttpOptions]):
         host.supervisor.secret_variables.update(variables)
 
         def end_motion(reason: str) -> None:
+            was_moving = is_moving(host)
             host.end_motion(reason, _LAPSE_S)
-            host.events.fault.tell("inference", "lease", {"explanation": reason})
+            if was_moving:  # somebody who looked at a robot at rest, and went, is no incident
+                host.events.fault.tell("inference", "lease", {"explanation": reason})
 
-        self.lease = OperatorLease(self.options.lease_s, host.audit, end_motion, has_left=has_left)
+        self.lease = OperatorLease(
+            self.options.lease_on(host.config.server.transport),
+            host.audit,
+            end_motion,
+            has_left=has_left,
+            by_streams=self.options.lease_streams,
+        )
         host.tools.add_admission(self.lease.admit)
         return self.lease.tools()
 
@@ -64,7 +84,7 @@ class HttpFeature(Feature[HttpOptions]):
         assert self.lease is not None, "the server asks for tools first"
         rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
         listener = self.listener = listen(self.options, tokens)
-        server = make_server(host.server, self.options, rules, tokens, self.lease.release)
+        server = make_server(host.server, self.options, rules, tokens, self.lease)
 
         async def serve(leave: anyio.Event) -> None:
             async def end() -> None:

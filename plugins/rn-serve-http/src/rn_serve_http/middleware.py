@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 from anyio import to_thread
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
@@ -31,16 +33,23 @@ class AccessMiddleware:
     """ASGI application around another: checks Host and Origin, then the token, and notes the Holder in the scope.
 
     Without tokens everybody who gets here is a local process with every role, told apart by its session or, where the
-    protocol has none, by its process; `server.listen` sees to it that this is so on loopback only.
+    protocol has none, by its process; `server.listen` sees to it that this is so on loopback only. Whoever has a
+    request or a stream open is `present`.
     """
 
     def __init__(
-        self, app: ASGIApp, rules: HostRules, tokens: TokenTable, connections: ConnectionTable | None = None
+        self,
+        app: ASGIApp,
+        rules: HostRules,
+        tokens: TokenTable,
+        connections: ConnectionTable | None = None,
+        present: Callable[[str], AbstractContextManager[None]] = lambda who: nullcontext(),
     ) -> None:
         self._app = app
         self._rules = rules
         self._tokens = tokens
         self._connections = connections or ConnectionTable()
+        self._present = present
         self._for_pages = _Pages(self._admit, rules)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -77,7 +86,8 @@ class AccessMiddleware:
         user = AuthenticatedUser(AccessToken(token="", client_id=holder.account, scopes=[holder.role]))
         connection = Connection(receive)
         inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
-        await self._app(inner, connection.receive, send)
+        with self._present(holder.who):
+            await self._app(inner, connection.receive, send)
 
     async def _holder(self, headers: Headers, scope: Scope, transport: object) -> Holder | None:
         if not self._tokens:

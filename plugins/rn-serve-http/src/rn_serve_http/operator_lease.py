@@ -1,11 +1,13 @@
-"""Admission of one operator at a time and, where a lease is configured, only while it makes calls."""
+"""Admission of one operator at a time and, under a lease, only while it is there."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from pydantic import Field
@@ -31,8 +33,9 @@ class OperatorResult(Result):
 class OperatorLease:
     """Admits calls. The first client that calls what acts is the operator until another takes over.
 
-    With a lease, every call of the operator renews it; when it lapses, `on_lapse` is called once, on a thread of its
-    own, and anybody may become the operator. Methods may be called from any thread.
+    With a lease, every call of the operator renews it, and so does what it holds open (`present`); when it lapses,
+    `on_lapse` is called once, on a thread of its own, and anybody may become the operator. Methods may be called from
+    any thread.
 
     Args:
         lease_s: longest silence of the operator; None: no lease.
@@ -40,6 +43,7 @@ class OperatorLease:
         on_lapse: ends all motion; told why.
         clock: monotonic time [s].
         has_left: whether a client is gone for good, so that nobody has to take over from it.
+        by_streams: whether `present` renews.
     """
 
     def __init__(
@@ -49,12 +53,16 @@ class OperatorLease:
         on_lapse: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         has_left: Callable[[str], bool] = lambda who: False,
+        by_streams: bool = True,
     ) -> None:
         self._lease_s = lease_s
         self._audit = audit
         self._on_lapse = on_lapse
         self._clock = clock
         self._has_left = has_left
+        self._by_streams = by_streams
+        self._open: Counter[str] = Counter()
+        self._is_vacant = False
         self._lock = threading.Lock()
         self._operator = ""
         self._renewed_s = 0.0
@@ -68,10 +76,10 @@ class OperatorLease:
         """
         acts = not tool.read_only and not tool.always and tool.name not in (TAKE_OVER, HEARTBEAT)
         with self._lock:
-            if acts and (not self._operator or (context.who != self._operator and self._has_left(self._operator))):
+            if acts and context.who != self._operator and self._is_free():
                 self._operator = context.who
             if context.who == self._operator:
-                self._renewed_s = self._clock()
+                self._renew()
             elif acts:
                 raise RefusedError(
                     f"{self._operator!r} operates the robot, {context.who!r} may look on and stop it.",
@@ -85,24 +93,51 @@ class OperatorLease:
             RefusedError: the audit cannot be written.
         """
         with self._lock:
-            before = self._operator
+            before = "" if self._is_vacant else self._operator
             if before != who:
                 reason = f"took over from {before}" if before else "nobody operated"
                 self._audit.write(AuditRecord(who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason))
                 log.warning("%s operates the robot now; %s.", who, reason)
-            self._operator, self._renewed_s = who, self._clock()
+            self._operator = who
+            self._renew()
             return before if before != who else ""
 
     def release(self, who: str) -> None:
-        """A client has left; if it was the operator, the next one that acts is."""
+        """A client has left; if it was the operator, the next one that acts is. A lease goes on until it lapses."""
         with self._lock:
-            if who == self._operator and self._lease_s is None:  # a lease ends motion first
-                self._operator = ""
+            if who == self._operator:
+                self._is_vacant = True
+
+    @contextmanager
+    def present(self, who: str) -> Iterator[None]:
+        """A client has a request, a stream or a page open within the block: it is not silent."""
+        self._count(who, 1)
+        try:
+            yield
+        finally:
+            self._count(who, -1)
+
+    def _count(self, who: str, change: int) -> None:
+        if not self._by_streams:
+            return
+        with self._lock:
+            self._open[who] += change
+            if self._open[who] <= 0:
+                del self._open[who]
+            if who == self._operator:
+                self._renewed_s = self._clock()
+
+    def _is_free(self) -> bool:
+        return not self._operator or self._is_vacant or self._has_left(self._operator)
+
+    def _renew(self) -> None:
+        self._renewed_s = self._clock()
+        self._is_vacant = False
 
     def look(self) -> None:
         """End motion when the lease has lapsed."""
         with self._lock:
-            if not self._operator or self._lease_s is None:
+            if not self._operator or self._lease_s is None or self._open[self._operator]:
                 return
             silent_s = self._clock() - self._renewed_s
             if silent_s <= self._lease_s:
@@ -156,8 +191,8 @@ class OperatorLease:
                 name=HEARTBEAT,
                 title="Renew the lease",
                 description=(
-                    "Say that you are alive. Every call of the operator does; where a lease is configured "
-                    "([http] lease_s) and the operator is silent for longer, the policy is stopped and the arm holds."
+                    "Say that you are alive. Every call of the operator does; an operator silent for longer than "
+                    "[http] lease_s loses the robot: the policy is stopped and the arm holds."
                 ),
                 arguments=NoArguments,
                 result=OperatorResult,

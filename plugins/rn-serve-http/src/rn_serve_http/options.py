@@ -19,6 +19,10 @@ class TokenConfig(Section):
     file: str | None = Field(default=None, description="or a file that only its owner can read")
 
 
+DEFAULT_LEASE_S = 120.0
+"""Agents think for up to a minute or two between calls; the robot keeps its own limits meanwhile."""
+
+
 class HttpOptions(Section):
     """`[http]`: the server over HTTP, and who operates the robot."""
 
@@ -30,9 +34,12 @@ class HttpOptions(Section):
     allowed_origins: tuple[str, ...] = Field(
         default=(), strict=False, description="web pages that may connect, such as https://panel.lan"
     )
-    lease_s: Seconds | None = Field(
-        default=None,
-        description="motion ends when its operator makes no call for this long, over stdio too; none: never",
+    lease_s: Seconds | Literal["auto", "never"] = Field(
+        default="auto",
+        description="motion ends when its operator is silent for this long; auto: 120 over HTTP, never over stdio",
+    )
+    lease_streams: bool = Field(
+        default=True, description="an open request or stream of the operator renews the lease; false: only its calls"
     )
     max_request_bytes: Annotated[int, Field(ge=1024, le=1 << 28)] = Field(
         default=4 << 20, description="largest request"
@@ -40,3 +47,9 @@ class HttpOptions(Section):
     tokens: tuple[TokenConfig, ...] = Field(
         default=(), strict=False, description="who may connect: tables of `name`, `role`, `variable`, `file`"
     )
+
+    def lease_on(self, transport: str) -> float | None:
+        """Longest silence of the operator of a server with this transport [s]; None: no lease."""
+        if self.lease_s == "auto":
+            return DEFAULT_LEASE_S if transport == "http" else None
+        return None if self.lease_s == "never" else self.lease_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
@@ -18,6 +18,7 @@ from rn_serve_http.addresses import bind
 from rn_serve_http.connections import BoundedProtocol, ConnectionTable
 from rn_serve_http.local_clients import local_client
 from rn_serve_http.middleware import AccessMiddleware, session_name
+from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
@@ -37,16 +38,16 @@ def make_server(
     options: HttpOptions,
     rules: HostRules,
     tokens: TokenTable,
-    on_leave: Callable[[str], object] = lambda who: None,
+    lease: OperatorLease,
 ) -> uvicorn.Server:
     """The HTTP server around an MCP server; `serve` it with a socket.
 
     Args:
-        on_leave: told which client without a token has ended its session.
+        lease: told who has something open, and which client without a token has ended its session.
     """
 
     def release(session: str) -> None:
-        on_leave(local_client(session_name(session)).who)
+        lease.release(local_client(session_name(session)).who)
 
     inner = server.streamable_http_app(
         streamable_http_path=PATH,
@@ -58,9 +59,10 @@ def make_server(
     server.middleware.append(note_handled)
     most = MOST_SESSIONS_OF_ONE if tokens else MOST_SESSIONS
     connections = ConnectionTable()
+    sessions = Sessions(inner, options.max_request_bytes, most, release)
     return _Server(
         uvicorn.Config(
-            AccessMiddleware(Sessions(inner, options.max_request_bytes, most, release), rules, tokens, connections),
+            AccessMiddleware(sessions, rules, tokens, connections, lease.present),
             http=cast(Any, partial(BoundedProtocol, connections)),
             log_config=None,
             access_log=False,

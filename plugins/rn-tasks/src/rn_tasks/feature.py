@@ -14,8 +14,8 @@ from rn_tasks.approval import Approval
 from rn_tasks.arbiter import TaskArbiter
 from rn_tasks.events import TASKS, EventLog, Watching
 from rn_tasks.examples import EXAMPLES
+from rn_tasks.inputs import Inputs, pose_of
 from rn_tasks.lifecycle import list_models_tool, start_all_tool
-from rn_tasks.live import Inputs, pose_of
 from rn_tasks.moving import Mover, Places, check_places, move_to_tool
 from rn_tasks.options import TasksSections
 from rn_tasks.predicates import ADAPTER

@@ -6,18 +6,14 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from typing import Any
 
-import numpy as np
-
+from rn_tasks.inputs import Inputs, pose_of
 from rn_tasks.runner import PolicyState
 from rn_tasks.snapshot import Snapshot, StillClock
-from roboneuron import Frame, Pose, RobotProfile
-from roboneuron.contract import frame_from_buffer
+from roboneuron import Frame, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.gate.fields import load_type
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER
 from roboneuron.server.host import Host
 from roboneuron.server.module_kinds import StartInference
@@ -25,49 +21,12 @@ from roboneuron.server.tool import Picture, Stage
 from roboneuron.supervisor.health import ModuleView, Report
 
 log = logging.getLogger(__name__)
-_AGE_S, _IMAGE_AGE_S = 0.5, 2.0
-"""Older measurements, and older images, are as good as none."""
 _TOLD_S = 5.0
 _END_S = 1.0
 """Longest wait for the policy to be told to end; after that its process is."""
 _IMAGES_S = 3.0
 _QUALITY = 85
 _DONE = ("backend.done", "done")
-
-
-class Inputs:
-    """Newest messages of topics, from the first time on that they are asked for until it is closed."""
-
-    def __init__(self, host: Host) -> None:
-        self._host = host
-        self._newest: dict[str, tuple[float, Any]] = {}
-        self._ends: list[Callable[[], None]] = []
-
-    def open(self, topic: str, type_name: str) -> None:
-        """Begin to listen. Raises RoboNeuronError for an unknown type, or when ROS cannot be joined."""
-        _ = self._host.graph  # first: two threads must not import rclpy at the same time
-        ros_type = load_type(type_name)
-
-        def take(message: Any) -> None:
-            self._newest[topic] = time.monotonic(), message
-
-        self._ends.append(self._host.subscribe(ros_type, topic, take, latched=True))
-
-    def newest(self, topic: str, age_s: float = _AGE_S) -> Any:
-        """The newest message, or None when it is older."""
-        found = self._newest.get(topic)
-        return found[1] if found is not None and time.monotonic() - found[0] <= age_s else None
-
-    def last(self, topic: str) -> Any:
-        """The newest message however old it is; None before the first."""
-        found = self._newest.get(topic)
-        return None if found is None else found[1]
-
-    def close(self) -> None:
-        """Listen no more; idempotent."""
-        while self._ends:
-            with suppress(RoboNeuronError):
-                self._ends.pop()()
 
 
 class LiveCell:
@@ -105,7 +64,6 @@ class LiveCell:
         self._instruction = ""
         self._count = self._errors = 0
         self._starting = False
-        self._decoded: dict[str, tuple[Any, Frame]] = {}
 
     def open(self) -> None:
         """Listen to what is needed; waits a moment for the cameras' first images.
@@ -267,45 +225,7 @@ class LiveCell:
         return f"/{self._host.config.namespace}/camera/{camera}/image"
 
     def _frame(self, camera: str) -> Frame | None:
-        message = self._inputs.newest(self._image_topic(camera), _IMAGE_AGE_S)
-        if message is None:
-            return None
-        known_frame = self._decoded.get(camera)
-        if known_frame is not None and known_frame[0] is message:
-            return known_frame[1]
-        try:
-            pixels = frame_from_buffer(
-                message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
-            )
-        except InvalidInputError as error:
-            log.warning("An image of %s cannot be read: %s", camera, error)
-            return None
-        known = self._profile.camera(camera) if self._profile is not None else None
-        frame = Frame(
-            camera=camera,
-            image=pixels,
-            stamp_ns=_stamp_ns(message.header.stamp),
-            frame_id=message.header.frame_id or camera,
-            calibration=None if known is None else known.calibration_at(message.width, message.height),
-        )
-        self._decoded[camera] = (message, frame)
-        return frame
-
-
-def _stamp_ns(stamp: Any) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def pose_of(message: Any) -> Pose | None:
-    """geometry_msgs/PoseStamped -> Pose."""
-    if message is None:
-        return None
-    p, q = message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=_stamp_ns(message.header.stamp),
-    )
+        return self._inputs.frame(self._image_topic(camera), camera, self._profile)
 
 
 def _jpeg(frame: Frame) -> Picture:

@@ -14,32 +14,47 @@ FEATURE = FeatureSpec(
     hooks="rn_tasks.hooks:HOOKS",
 )
 """Descriptor of the feature."""
+
+
+def _monitor(
+    name: str, summary: str, target: str, options: str, case: str, *, optional: tuple[str, ...]
+) -> MonitorSpec:
+    """One that looks at the camera in front and, where there are any, at the optional ones."""
+    return MonitorSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_tasks.detectors:{target}",
+        config=f"rn_tasks.detectors:{options}",
+        cameras=("primary",),
+        optional_cameras=optional,
+        case=f"rn_tasks.contract_cases:{case}",
+    )
+
+
 MONITORS = (
-    MonitorSpec(
-        name="colour-lifted",
-        summary="An object of a colour is above where it lay; needs two calibrated cameras.",
-        target="rn_tasks.detectors:ColourLifted",
-        config="rn_tasks.detectors:LiftedOptions",
-        cameras=("primary",),
-        optional_cameras=("wrist",),
-        case="rn_tasks.contract_cases:lifted_case",
+    _monitor(
+        "colour-lifted",
+        "An object of a colour is above where it lay; needs two calibrated cameras.",
+        "ColourLifted",
+        "LiftedOptions",
+        "lifted_case",
+        optional=("wrist",),
     ),
-    MonitorSpec(
-        name="object-in-region",
-        summary="An object of a colour is in a box of the base frame.",
-        target="rn_tasks.detectors:ObjectInRegion",
-        config="rn_tasks.detectors:RegionOptions",
-        cameras=("primary",),
-        optional_cameras=("wrist",),
-        case="rn_tasks.contract_cases:region_case",
+    _monitor(
+        "object-in-region",
+        "An object of a colour is in a box of the base frame.",
+        "ObjectInRegion",
+        "RegionOptions",
+        "region_case",
+        optional=("wrist",),
     ),
-    MonitorSpec(
-        name="scene-changed",
-        summary="The picture is not as it was before, with the arm back where it was.",
-        target="rn_tasks.detectors:SceneChanged",
-        config="rn_tasks.detectors:ChangedOptions",
-        cameras=("primary",),
-        case="rn_tasks.contract_cases:changed_case",
+    _monitor(
+        "scene-changed",
+        "The picture is not as it was before, with the arm back where it was.",
+        "SceneChanged",
+        "ChangedOptions",
+        "changed_case",
+        optional=(),
     ),
 )
 """Descriptors of the monitors."""

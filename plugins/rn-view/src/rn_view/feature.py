@@ -57,8 +57,7 @@ class ViewFeature(Feature[ViewOptions]):
         admission = Admission(
             tokens=TokenFiles(http.options.tokens, os.environ), rules=host_rules(self.options, http.options)
         )
-        lease = http.lease
-        operator = LiveOperator(host, lambda who: lease.release(who) if lease is not None else None)
+        operator = LiveOperator(host, http.lease)
         with contextlib.suppress(RuntimeError):  # not called by a server that serves
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
         self.viewer = Viewer(self.options, self._source, admission, operator)

@@ -6,11 +6,13 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar, cast
 
 import anyio
 from anyio import to_thread
 
+from rn_serve_http.operator_lease import OperatorLease
 from rn_view.happenings import AuditTail, Happenings, add_record, failure_of
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import Host, RobotProfile
@@ -122,12 +124,12 @@ class LiveOperator:
 
     Args:
         host: the server.
-        release: told who has left, so that another client may operate the robot.
+        lease: told who has a page open, and who has left, so that another client may operate the robot.
     """
 
-    def __init__(self, host: Host, release: Callable[[str], object]) -> None:
+    def __init__(self, host: Host, lease: OperatorLease | None = None) -> None:
         self._host = host
-        self._release = release
+        self._lease = lease
         self.loop: asyncio.AbstractEventLoop | None = None
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
@@ -138,10 +140,14 @@ class LiveOperator:
             return failed
         return asyncio.run_coroutine_threadsafe(self._call(holder, tool, arguments), self.loop)
 
+    def present(self, holder: Holder) -> AbstractContextManager[None]:
+        """See Operator; an open page renews the lease as an open stream does."""
+        return nullcontext() if self._lease is None else self._lease.present(holder.who)
+
     def leave(self, holder: Holder) -> None:
         """See Operator; somebody with a token may have other clients."""
-        if holder.client:
-            self._release(holder.who)
+        if holder.client and self._lease is not None:
+            self._lease.release(holder.who)
 
     async def _call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))

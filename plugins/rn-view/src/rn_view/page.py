@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import AbstractContextManager, ExitStack
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,6 +41,10 @@ class Operator(Protocol):
         """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns at once."""
         ...
 
+    def present(self, holder: Holder) -> AbstractContextManager[None]:
+        """A page of this holder is open within the block."""
+        ...
+
     def leave(self, holder: Holder) -> None:
         """The page of this holder was closed."""
         ...
@@ -68,6 +73,7 @@ class Page:
         self._login: Any = None
         self._tries = _TRIES
         self._is_gone = False
+        self._presence = ExitStack()
         self._stop_text: Any = None
         if source.playback is None:
             button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
@@ -104,6 +110,8 @@ class Page:
     def show(self, profile: RobotProfile, history: History) -> None:
         """Build everything else, for the holder."""
         assert self.holder is not None
+        if self._operator is not None:
+            self._presence.enter_context(self._operator.present(self.holder))
         buttons = None if self._operator is None or not has_role(self.holder.role, OPERATOR) else self._call
         with self._lock:
             self._content = _Content(self.client, self._source, profile, history, buttons)
@@ -139,6 +147,7 @@ class Page:
     def leave(self) -> None:
         """The client is gone."""
         self._is_gone = True
+        self._presence.close()
         if self._operator is not None and self.holder is not None:
             self._operator.leave(self.holder)
 

@@ -1,0 +1,1 @@
+"""One loaded model for the backends of several robots on a machine."""

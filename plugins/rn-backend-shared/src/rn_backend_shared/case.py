@@ -1,0 +1,113 @@
+"""The backend's contract case: a server with a small model that answers several robots with one matrix product."""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import os
+import tempfile
+from pathlib import Path
+
+from rn_backend_shared.plugin import BACKEND
+from rn_testing import BackendCase
+from rn_testing.fakes.site import PluginSite
+
+SOURCE = '''
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from roboneuron import ActionChunk, BackendSpec, CheckpointError, InvalidInputError, UnsafeError, hookimpl
+from pydantic import BaseModel, ConfigDict
+
+
+class Options(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    took_s: float = 0.0
+    fails: bool = False
+
+
+class Reflex:
+    """One layer over the mean colours of the picture; answers any number of observations at once."""
+
+    def __init__(self, config, *, runtime=None, acceleration=None):
+        self._options = config
+
+    def load(self):
+        if self._options.fails:
+            raise CheckpointError("There are no weights.", hint="Copy some.")
+        self._weights = np.random.default_rng(0).standard_normal((12, 7))
+
+    def predict(self, observation):
+        return self.predict_many([observation])[0]
+
+    def predict_many(self, observations):
+        rows = []
+        for observation in observations:
+            if observation.instruction == "crash":
+                raise InvalidInputError("not that")
+            state = [*observation.joints.position[:1], *observation.ee_pose.position_m, observation.gripper_open]
+            if not np.isfinite([*observation.joints.position, *state]).all():
+                raise UnsafeError("the state is not finite")
+            image = observation.frames["primary"].image.astype(float)
+            half = image.shape[1] // 2
+            colours = [*image[:, :half].mean((0, 1)), *image[:, half:].mean((0, 1)), len(observation.instruction)]
+            rows.append([*np.array(colours) / 255.0, *state])
+        time.sleep(self._options.took_s)
+        moves = 0.01 * np.tanh(np.array(rows) @ self._weights)
+        moves[:, 6] = 0.5
+        return [ActionChunk(actions=row[None], step_s=0.1) for row in moves]
+
+    def reset(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class Rememberer(Reflex):
+    predict_many = None
+
+
+@hookimpl
+def roboneuron_backends():
+    common = {"config": __name__ + ":Options", "needs_state": True}
+    return [
+        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", **common),
+        BackendSpec(name="rememberer", summary="Not sharable.", target=__name__ + ":Rememberer", **common),
+    ]
+'''
+
+
+def shared_case() -> BackendCase:
+    """`shared` with the backend `reflex`, which exists in the server's process only."""
+    return BackendCase(spec=BACKEND, options=options_in(_folder(), idle_s=5.0))
+
+
+def options_in(folder: Path, **options: object) -> dict[str, object]:
+    """Options for a server in a folder of its own that finds the small model."""
+    path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
+    return {
+        "backend": "reflex",
+        "directory": str(folder / "run"),
+        "environment": {"PYTHONPATH": path},
+        "start_timeout_s": 120.0,
+        "timeout_s": 10.0,
+        **options,
+    }
+
+
+def install(folder: Path) -> None:
+    """Put the small model where `options_in` says that it is."""
+    PluginSite(path=folder / "site").install("rn-reflex", SOURCE, header="")
+    (folder / "run").mkdir(mode=0o700)
+
+
+@functools.cache
+def _folder() -> Path:
+    held = tempfile.TemporaryDirectory(prefix="rn-backend-shared-")
+    atexit.register(held.cleanup)
+    install(Path(held.name))
+    return Path(held.name)

@@ -1,0 +1,38 @@
+"""The command `roboneuron shared-model`."""
+
+from __future__ import annotations
+
+import logging
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from roboneuron import ConfigurationError
+
+
+class SharedModel:
+    """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
+
+    Not needed: the first robot starts a server by itself. It is for a service manager, or a model that is to be loaded
+    before any robot starts; robots with the same [plugins.shared] use it.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]")
+        parser.add_argument("--replica", type=int, default=0, metavar="N", help="which of `replicas`, from 0 on")
+
+    def run(self, arguments: Namespace) -> int:
+        """Serve."""
+        from rn_backend_shared.links import directory_of
+        from rn_backend_shared.options import SharedOptions
+        from rn_backend_shared.plugin import BACKEND
+        from rn_backend_shared.server import serve
+        from roboneuron.config import load_config
+        from roboneuron.plugins.loading import load_options
+
+        options = load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
+        assert isinstance(options, SharedOptions)
+        if not 0 <= arguments.replica < options.replicas:
+            raise ConfigurationError(f"There is no replica {arguments.replica}; replicas = {options.replicas}.")
+        logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
+        return serve(options, directory_of(options) / f"{options.identity()}-{arguments.replica}.sock", None)

@@ -1,0 +1,217 @@
+"""A robot's connection to the servers of its model: started when there is none, left for another when one dies."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from rn_backend_shared import wire
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.server import FAILED, READY, peer_user
+from roboneuron import ConfigurationError, NotReadyError
+
+log = logging.getLogger(__name__)
+_HELLO_S = 0.5
+_SPAWN_S = 60.0
+_AGAIN_S = 2.0
+"""Between two starts of the same server."""
+_POLL_S = 0.02
+
+
+def directory_of(options: SharedOptions) -> Path:
+    """The folder of sockets and logs, made for this user alone.
+
+    Raises:
+        ConfigurationError: it cannot be made, or belongs to somebody else.
+    """
+    path = options.directory
+    if path is None:
+        base = os.environ.get("XDG_RUNTIME_DIR")
+        path = Path(base) / "roboneuron" if base else Path(f"/tmp/roboneuron-{os.getuid()}")
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        raise ConfigurationError(f"The directory {path} of shared models cannot be used: {error}.") from error
+    if found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise ConfigurationError(f"The directory {path} of shared models must be this user's alone (mode 700).")
+    return path
+
+
+class Links:
+    """Asks one of the servers; used from one thread, except `close`.
+
+    Args:
+        options: which model.
+    """
+
+    def __init__(self, options: SharedOptions) -> None:
+        folder, name = directory_of(options), options.identity()
+        self._options = options
+        self._paths = [folder / f"{name}-{index}.sock" for index in range(options.replicas)]
+        first = os.getpid() % options.replicas  # robots spread over the replicas
+        self._paths = self._paths[first:] + self._paths[:first]
+        self._channel: wire.Channel | None = None
+        self._number = 0
+        self._started_s: dict[Path, float] = {}
+        self._reviving: threading.Thread | None = None
+        self._is_closed = False
+
+    def open(self) -> list[str]:
+        """Start the servers that do not run, and wait for the first that is ready; returns the cameras it needs.
+
+        Raises:
+            RoboNeuronError: why it could not load its model.
+            NotReadyError: none was ready in time.
+        """
+        deadline_s = time.monotonic() + self._options.start_timeout_s
+        while True:
+            for path in self._paths:
+                told = self._greet(path)
+                if told is None:
+                    self._start(path)
+                elif told["state"] == FAILED:
+                    wire.to_answer(told)
+                elif told["state"] == READY:
+                    self._start_others()
+                    return [str(camera) for camera in told["cameras"]]
+            if time.monotonic() > deadline_s:
+                raise NotReadyError(
+                    f"No server of the shared model was ready within {self._options.start_timeout_s:g} s.",
+                    hint=f"Its log is {self._paths[0].with_suffix('.log')}.",
+                )
+            time.sleep(_POLL_S)
+
+    def ask(self, observation: wire.Document, deadline_s: float) -> wire.Document:
+        """The answer to an observation. A server that dies meanwhile is replaced by another one that is ready.
+
+        Raises:
+            NotReadyError: none by the deadline, or no server is ready; another is being started.
+        """
+        while True:
+            if self._channel is None and not any(self._is_ready(path) for path in self._paths):
+                self._revive()
+                raise NotReadyError("The server of the shared model is gone; it is being started again.")
+            assert self._channel is not None
+            self._number += 1
+            try:
+                left_s = max(deadline_s - time.monotonic(), 1e-3)
+                asked = {"ask": "predict", "number": self._number, "deadline_s": deadline_s, "observation": observation}
+                self._channel.send(asked, left_s)
+                return self._receive(deadline_s)
+            except TimeoutError as error:
+                if len(self._paths) > 1:  # it may hang: another one is asked next
+                    self._paths.append(self._paths.pop(0))
+                    self._drop()
+                raise NotReadyError("The shared model did not answer before the deadline.") from error
+            except (OSError, ValueError, KeyError) as error:
+                log.warning("The server of the shared model was lost: %s", error)
+                self._drop()
+                self._revive()
+                if time.monotonic() > deadline_s:
+                    raise NotReadyError("The server of the shared model was lost.") from error
+
+    def _receive(self, deadline_s: float) -> wire.Document:
+        """The answer to the newest question; late ones to those before are thrown away."""
+        while True:
+            assert self._channel is not None
+            told = self._channel.receive(deadline_s)
+            if told["number"] == self._number:
+                return told
+
+    def _is_ready(self, path: Path) -> bool:
+        told = self._greet(path)
+        return told is not None and told["state"] == READY
+
+    def _greet(self, path: Path) -> wire.Document | None:
+        """What the server there says of itself; a ready one is connected from now on. None: there is none."""
+        connected = socket.socket(socket.AF_UNIX)
+        try:
+            connected.settimeout(_HELLO_S)
+            connected.connect(str(path))
+            if peer_user(connected) != os.getuid():
+                raise ConfigurationError(f"{path} is somebody else's.")
+            channel = wire.Channel(connected)
+            channel.send({"ask": "hello"}, _HELLO_S)
+            told = channel.receive(time.monotonic() + _HELLO_S)
+            is_ready = told["state"] == READY
+        except (OSError, ValueError, KeyError):
+            connected.close()
+            return None
+        except BaseException:
+            connected.close()
+            raise
+        if is_ready and not self._is_closed:
+            self._drop()
+            self._channel = channel
+        else:
+            channel.close()
+        return told
+
+    def _start_others(self) -> None:
+        for path in self._paths:
+            if not path.exists():
+                self._start(path)
+
+    def _start(self, path: Path) -> None:
+        """Start a server in the background, unless it was just started; one that runs already makes it end at once."""
+        now_s = time.monotonic()
+        if now_s - self._started_s.get(path, -_AGAIN_S) < _AGAIN_S:
+            return
+        self._started_s[path] = now_s
+        python = str(self._options.python or sys.executable)
+        try:
+            subprocess.run(
+                [python, "-P", "-m", "rn_backend_shared.server", str(path)],
+                input=self._options.model_dump_json(),
+                env={**os.environ, **self._options.environment},
+                check=True,
+                capture_output=True,
+                text=True,
+                timeout=_SPAWN_S,
+            )
+        except subprocess.CalledProcessError as error:
+            lines = error.stderr.strip().splitlines() or ["it said nothing"]
+            raise ConfigurationError(f"The server of the shared model cannot be started: {lines[-1]}.") from error
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ConfigurationError(f"The server of the shared model cannot be started: {error}.") from error
+
+    def _revive(self) -> None:
+        """Start what is gone, beside the caller: a robot must not wait for a process."""
+        if self._reviving is not None and self._reviving.is_alive():
+            return
+
+        def start() -> None:
+            try:
+                for path in self._paths:
+                    if not _is_served(path):
+                        self._start(path)
+            except ConfigurationError as error:
+                log.error("%s", error)
+
+        self._reviving = threading.Thread(target=start, name="revive", daemon=True)
+        self._reviving.start()
+
+    def _drop(self) -> None:
+        channel, self._channel = self._channel, None
+        if channel is not None:
+            channel.close()
+
+    def close(self) -> None:
+        """Hang up; idempotent. The server ends when nobody has asked for a while."""
+        self._is_closed = True
+        self._drop()
+        if self._reviving is not None:
+            self._reviving.join(_SPAWN_S)
+
+
+def _is_served(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(_HELLO_S)
+        return probe.connect_ex(str(path)) == 0

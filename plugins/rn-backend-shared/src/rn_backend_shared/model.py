@@ -1,0 +1,93 @@
+"""The backend that a server holds, built as the inference module builds it, and asked for several robots at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+from rn_backend_shared.batching import Answer
+from rn_backend_shared.options import SharedOptions
+from roboneuron import (
+    AccelerationSpec,
+    ActionChunk,
+    Backend,
+    BackendSpec,
+    ConfigurationError,
+    Observation,
+    RoboNeuronError,
+    RuntimeSpec,
+)
+from roboneuron.modules.plugin import build
+from roboneuron.plugins.discovery import discover
+
+Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
+METHODS = ("predict_many", "predict_batch")
+"""What a backend may offer beside `Backend`: one chunk for each observation, in their order, from one forward. Offering
+it says that predictions depend on the observation alone."""
+
+
+class SharedModel:
+    """A loaded backend; `load`, `answer` and `close` on one thread.
+
+    Attributes:
+        spec: of the backend.
+    """
+
+    def __init__(self, options: SharedOptions) -> None:
+        self._options = options
+        self._backend: Backend
+        self._many: Many | None = None
+        self.spec: BackendSpec
+
+    def load(self) -> None:
+        """Build and load the backend.
+
+        Raises:
+            ConfigurationError: it is not installed, cannot be shared, or an option is wrong.
+            RoboNeuronError: as `Backend.load`.
+        """
+        options, registry = self._options, discover()
+        self.spec = spec = registry.get(BackendSpec, options.backend)
+        runtime = options.runtime or spec.default_runtime
+        parts: dict[str, Any] = {"runtime": None, "acceleration": None}
+        if runtime:
+            parts["runtime"] = build(registry.get(RuntimeSpec, runtime), options.runtime_options)
+        if options.acceleration is not None:
+            chosen = registry.get(AccelerationSpec, options.acceleration)
+            parts["acceleration"] = build(chosen, options.acceleration_options)
+        own = dict(options.options)
+        if options.checkpoint is not None:
+            own["checkpoint"] = options.checkpoint
+        self._backend = cast("Backend", build(spec, own, **parts))
+        self._many = next((m for name in METHODS if (m := getattr(self._backend, name, None)) is not None), None)
+        if self._many is None and not options.stateless:
+            raise ConfigurationError(
+                f"The backend {spec.name!r} cannot answer several observations at once, and may remember robots.",
+                hint="If it remembers nothing from one observation to the next, set stateless = true in "
+                "[plugins.shared]: it is then asked one by one.",
+            )
+        self._backend.load()
+
+    @property
+    def most(self) -> int:
+        """Most observations that are worth a batch: one that is asked one by one has nothing to gain."""
+        return self._options.most if self._many is not None else 1
+
+    def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
+        """One answer for each; what one observation lacks is an error of that one only."""
+        if self._many is not None and len(observations) > 1:
+            try:
+                return list(self._many(observations))
+            except RoboNeuronError:
+                pass  # whose fault it is comes out below
+        return [self._alone(observation) for observation in observations]
+
+    def _alone(self, observation: Observation) -> Answer:
+        try:
+            return self._backend.predict(observation)
+        except RoboNeuronError as error:
+            return error
+
+    def close(self) -> None:
+        """Release the model."""
+        self._backend.close()

@@ -1,0 +1,37 @@
+"""What this package offers: the backend `shared`, and the command that keeps its server in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron import ActionSpace, BackendSpec, CommandSpec, hookimpl
+
+BACKEND = BackendSpec(
+    name="shared",
+    summary="One model for several robots on a machine: another backend in a server process that answers in batches.",
+    target="rn_backend_shared.backend:SharedBackend",
+    config="rn_backend_shared.options:SharedOptions",
+    optional_cameras=("wrist",),
+    needs_state=True,
+    action_space=ActionSpace(horizon=100, step_s=0.0),
+    case="rn_backend_shared.case:shared_case",
+)
+"""Descriptor of the backend. What the model itself needs is checked when its server answers."""
+COMMAND = CommandSpec(
+    name="shared-model",
+    summary="serve the model of [plugins.shared] until Ctrl-C",
+    target="rn_backend_shared.command:SharedModel",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """The backend."""
+    return (BACKEND,)
+
+
+@hookimpl
+def roboneuron_commands() -> Sequence[CommandSpec]:
+    """The command."""
+    return (COMMAND,)

@@ -1,0 +1,234 @@
+"""The process that holds a model: one socket, a thread for each robot that asks, one for the model."""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+import signal
+import socket
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO
+
+from rn_backend_shared import wire
+from rn_backend_shared.batching import Answer, Batcher, Waiting
+from rn_backend_shared.model import SharedModel
+from rn_backend_shared.options import SharedOptions
+from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+LOADING, READY, FAILED = "loading", "ready", "failed"
+_SEND_S = 0.5
+"""A robot that does not read for so long has lost its connection; nobody else waits for it."""
+_FAILED_S = 5.0
+"""A server that could not load tells so for this long, then ends."""
+_LOOK_S = 0.1
+_BACKLOG = 128
+
+
+class ModelServer:
+    """Serves one model to all robots that connect.
+
+    Args:
+        options: which model.
+        path: of the socket.
+        idle_s: end after so long without a robot; None: never.
+    """
+
+    def __init__(self, options: SharedOptions, path: Path, idle_s: float | None) -> None:
+        self._options = options
+        self._path = path
+        self._idle_s = idle_s
+        self._model = SharedModel(options)
+        self._batcher: Batcher | None = None
+        self._robots: set[_Robot] = set()
+        self._end = threading.Event()
+        self._state = LOADING
+        self._failure: RoboNeuronError | None = None
+        self._used_s = time.monotonic()
+
+    def run(self) -> int:
+        """Serve until `stop`, or idle; returns the exit status. One server of a path at a time: another one ends."""
+        with self._path.with_suffix(".lock").open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return 0
+            self._path.unlink(missing_ok=True)
+            with socket.socket(socket.AF_UNIX) as listener:
+                listener.bind(str(self._path))
+                listener.listen(_BACKLOG)
+                threading.Thread(target=self._accept, args=(listener,), name="accept", daemon=True).start()
+                try:
+                    return self._serve()
+                finally:
+                    self._path.unlink(missing_ok=True)
+                    for robot in list(self._robots):
+                        robot.close()
+
+    def stop(self) -> None:
+        """End soon; callable from a signal handler."""
+        self._end.set()
+
+    def _serve(self) -> int:
+        try:
+            self._model.load()
+        except RoboNeuronError as error:
+            return self._fail(error)
+        except Exception as error:  # the border to the model: robots are told before the process ends
+            log.exception("The model cannot be loaded.")
+            return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
+        options = self._options
+        batcher = self._batcher = Batcher(
+            self._model.answer,
+            most=self._model.most,
+            waiting=options.waiting,
+            linger_s=options.linger_s,
+            clients=lambda: len(self._robots),
+        )
+        batcher.start()
+        self._state = READY
+        log.info("The model %s is ready.", self._options.backend)
+        self._used_s = time.monotonic()
+        while not self._end.wait(_LOOK_S):
+            now_s = time.monotonic()
+            if self._robots:
+                self._used_s = now_s
+            elif self._idle_s is not None and now_s - self._used_s > self._idle_s:
+                log.info("No robot for %g s.", self._idle_s)
+                break
+        batcher.close()
+        self._model.close()
+        return 0
+
+    def _fail(self, error: RoboNeuronError) -> int:
+        log.error("%s", error)
+        self._failure, self._state = error, FAILED
+        self._end.wait(_FAILED_S)
+        return 1
+
+    def hello(self) -> wire.Document:
+        """What a robot is told first, and whenever it asks again while the model loads."""
+        told: wire.Document = {"state": self._state, "pid": os.getpid()}
+        if self._failure is not None:
+            return told | wire.from_answer(self._failure)
+        if self._state == READY:
+            told["cameras"] = list(self._model.spec.cameras)
+        return told
+
+    def submit(self, waiting: Waiting) -> None:
+        """See `Batcher`."""
+        if self._batcher is None:
+            raise NotReadyError("The shared model is being loaded.")
+        self._batcher.submit(waiting)
+
+    def leave(self, robot: _Robot) -> None:
+        """It is gone."""
+        self._robots.discard(robot)
+
+    def _accept(self, listener: socket.socket) -> None:
+        while not self._end.is_set():
+            try:
+                connected, _ = listener.accept()
+            except OSError:
+                return
+            if peer_user(connected) != os.getuid():
+                connected.close()
+                continue
+            robot = _Robot(wire.Channel(connected), self)
+            self._robots.add(robot)
+            threading.Thread(target=robot.serve, name="robot", daemon=True).start()
+
+
+class _Robot:
+    """One connection."""
+
+    def __init__(self, channel: wire.Channel, server: ModelServer) -> None:
+        self._channel = channel
+        self._server = server
+        self._sending = threading.Lock()
+
+    def serve(self) -> None:
+        """Read what it asks until it is gone."""
+        try:
+            while True:
+                self._take(self._channel.receive(None))
+        except OSError:
+            pass
+        except (KeyError, TypeError, ValueError) as error:
+            log.warning("A client sent what is no request: %r", error)
+        finally:
+            self._server.leave(self)
+            self.close()
+
+    def _take(self, asked: wire.Document) -> None:
+        if asked["ask"] == "hello":
+            self._send(self._server.hello())
+            return
+        number = asked["number"]
+
+        def tell(answer: Answer) -> None:
+            self._send({"number": number, **wire.from_answer(answer)})
+
+        try:
+            observation = wire.to_observation(asked["observation"])
+            self._server.submit(Waiting(observation=observation, deadline_s=float(asked["deadline_s"]), tell=tell))
+        except RoboNeuronError as error:
+            tell(error)
+        except (KeyError, TypeError, ValueError) as error:
+            tell(InvalidInputError(f"The observation cannot be read: {error!r}."))
+
+    def _send(self, document: wire.Document) -> None:
+        try:
+            with self._sending:
+                self._channel.send(document, _SEND_S)
+        except OSError:
+            self.close()  # `serve` ends by that
+
+    def close(self) -> None:
+        """Hang up."""
+        self._channel.close()
+
+
+def peer_user(connected: socket.socket) -> int:
+    """User id of the process at the other end."""
+    size = struct.calcsize("3i")
+    return int(struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1])
+
+
+def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
+    """Run a server in this process until SIGTERM or SIGINT."""
+    server = ModelServer(options, path, idle_s)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    return server.run()
+
+
+def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
+    """A server in the background: options as JSON on stdin, path of the socket as argument.
+
+    Returns at once in the process that was started, which leaves one behind that belongs to nobody's group.
+    """
+    options, path = SharedOptions.model_validate_json(source.read()), Path(arguments[0])
+    if os.fork():
+        return 0
+    os.setsid()
+    with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
+        os.dup2(nothing.fileno(), 0)
+        for number in (1, 2):
+            os.dup2(output.fileno(), number)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    code = 1
+    try:
+        code = serve(options, path, options.idle_s)
+    finally:
+        logging.shutdown()
+        os._exit(code)  # threads of robots may be in the middle of something, and hold nothing that must be saved
+
+
+if __name__ == "__main__":
+    sys.exit(main())
