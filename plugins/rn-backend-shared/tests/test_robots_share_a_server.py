@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -34,6 +35,7 @@ from roboneuron import (
     Observation,
     RoboNeuronError,
 )
+from roboneuron.cli.main import main
 
 pytestmark = pytest.mark.timeout(200)
 SEEN = make_observation(BACKEND)
@@ -264,3 +266,26 @@ def test_robots_with_other_model_options_use_another_server() -> None:
     assert base.identity() == SharedOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
     for other in ({"checkpoint": "/models/b"}, {"options": {"profile": "libero"}}, {"most": 4}):
         assert base.identity() != base.model_copy(update=other).identity()
+
+
+def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(robot: Robot, tmp_path: Path) -> None:
+    given = options_in(tmp_path, idle_s=30.0)
+    environment = given["environment"]
+    assert isinstance(environment, dict)
+    lines = [f"{key} = {json.dumps(value)}" for key, value in given.items() if key != "environment"]
+    lines += ["[plugins.shared.environment]", *(f"{key} = {json.dumps(value)}" for key, value in environment.items())]
+    path = tmp_path / "roboneuron.toml"
+    path.write_text('[robot]\nname = "any"\n[plugins.shared]\n' + "\n".join(lines))
+    words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]
+    process = subprocess.Popen(words, env={**os.environ, **environment})
+    try:
+        wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), "it listens")
+        assert answers(robot())
+        assert servers_in(tmp_path) == [], "the robot has found it, and started none"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+        assert list((tmp_path / "run").glob("*.sock")) == []
+    finally:
+        process.kill()
+        process.wait()
+    assert main([*words[3:], "--replica", "1"]) == 2
