@@ -188,6 +188,9 @@ bench-tasks: $(VENV)/.develop ## outcomes of tasks against the simulator's truth
 	$(BIN)/python benchmarks/bench_tasks.py $(ARGS)
 	$(BIN)/python benchmarks/bench_start_all.py
 
+bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches against one at a time
+	$(BIN)/python benchmarks/bench_shared_inference.py $(ARGS)
+
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
 

@@ -12,7 +12,7 @@ from roboneuron.server.app import Application
 
 MOST_BYTES = 40_000
 """Of the default configuration with the packages that `[standard]` and a robot bring; it was 106 kB."""
-OPTIONAL = ("rn-recorder", "rn-eval-libero")
+OPTIONAL = ("rn-recorder", "rn-eval-libero", "rn-backend-shared")
 """Packages with tools or backends of their own that are installed beside the standard ones."""
 
 

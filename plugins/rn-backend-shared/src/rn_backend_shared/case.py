@@ -70,6 +70,9 @@ class Reflex:
 class Rememberer(Reflex):
     predict_many = None
 
+    def predict(self, observation):
+        return Reflex.predict_many(self, [observation])[0]
+
 
 @hookimpl
 def roboneuron_backends():

@@ -135,23 +135,25 @@ class Links:
         try:
             connected.settimeout(_HELLO_S)
             connected.connect(str(path))
-            if peer_user(connected) != os.getuid():
-                raise ConfigurationError(f"{path} is somebody else's.")
-            channel = wire.Channel(connected)
-            channel.send({"ask": "hello"}, _HELLO_S)
-            told = channel.receive(time.monotonic() + _HELLO_S)
-            is_ready = told["state"] == READY
-        except (OSError, ValueError, KeyError):
+        except OSError:
             connected.close()
             return None
-        except BaseException:
-            connected.close()
-            raise
-        if is_ready and not self._is_closed:
+        channel = wire.Channel(connected)
+        is_kept = False
+        try:
+            if peer_user(connected) != os.getuid():
+                raise ConfigurationError(f"{path} is somebody else's.")
+            channel.send({"ask": "hello"}, _HELLO_S)
+            told = channel.receive(time.monotonic() + _HELLO_S)
+            is_kept = told["state"] == READY and not self._is_closed
+        except (OSError, ValueError, KeyError):
+            return None
+        finally:
+            if not is_kept:
+                channel.close()
+        if is_kept:
             self._drop()
             self._channel = channel
-        else:
-            channel.close()
         return told
 
     def _start_others(self) -> None:

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 LOADING, READY, FAILED = "loading", "ready", "failed"
 _SEND_S = 0.5
 """A robot that does not read for so long has lost its connection; nobody else waits for it."""
-_FAILED_S = 5.0
+_FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
 _BACKLOG = 128

@@ -68,7 +68,7 @@ def encode(document: Mapping[str, Any]) -> bytes:
 
     text = json.dumps(document, default=default)
     heads = [[part.dtype.str, part.shape] for part in parts]
-    head = json.dumps([json.loads(text), heads]).encode()
+    head = f"[{text}, {json.dumps(heads)}]".encode()
     tail = b"".join(part.tobytes() for part in parts)
     return _HEAD.pack(len(head), len(tail)) + head + tail
 

@@ -1,0 +1,291 @@
+"""Real server processes: several robots on one, batches that are exact, and servers that die, fail or hang."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rn_backend_shared.backend import SharedBackend
+from rn_backend_shared.case import install, options_in
+from rn_backend_shared.links import Links, directory_of
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.plugin import BACKEND
+from rn_backend_shared.server import ModelServer
+from rn_testing.fakes.backend import make_observation
+from roboneuron import (
+    CheckpointError,
+    ConfigurationError,
+    InvalidInputError,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
+from roboneuron.cli.main import main
+
+pytestmark = pytest.mark.timeout(200)
+SEEN = make_observation(BACKEND)
+Robot = Callable[..., SharedBackend]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    """Return a function that makes a loaded backend; their servers end with the test."""
+    install(tmp_path)
+    with ExitStack() as stack:
+
+        def make(**options: Any) -> SharedBackend:
+            given = options_in(tmp_path, **{"idle_s": 30.0, **options})
+            made = SharedBackend(SharedOptions.model_validate(given))
+            stack.callback(made.close)
+            made.load()
+            return made
+
+        yield make
+    for pid in servers_in(tmp_path):
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Robot]:
+    """As `robot`, with the server on a thread of this process: quicker, where no process has to die."""
+    install(tmp_path)
+    sys.path.insert(0, str(tmp_path / "site"))
+    with ExitStack() as stack:
+        started: dict[Path, threading.Thread] = {}
+
+        def make(**options: Any) -> SharedBackend:
+            made = SharedOptions.model_validate(options_in(tmp_path, **options))
+            path = tmp_path / "run" / f"{made.identity()}-0.sock"
+            if path not in started:
+                server = ModelServer(made, path, None)
+                started[path] = threading.Thread(target=server.run)
+                started[path].start()
+                stack.callback(started[path].join, 60.0)
+                stack.callback(server.stop)
+                wait_until(path.exists, "the server listens")
+            backend = SharedBackend(made)
+            stack.callback(backend.close)
+            backend.load()
+            return backend
+
+        yield make
+    sys.path.remove(str(tmp_path / "site"))
+    sys.modules.pop("rn_reflex_plugin", None)
+    assert not servers_in(tmp_path), "nothing was spawned"
+
+
+def servers_in(folder: Path) -> list[int]:
+    """Server processes whose socket is in the folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"rn_backend_shared.server" in words and any(word.startswith(str(folder).encode()) for word in words):
+            found.append(int(entry.parent.name))
+    return found
+
+
+def seen(number: int) -> Observation:
+    frame = SEEN.frames["primary"]
+    image = np.full((48, 64, 3), 10 * number, dtype=np.uint8)
+    return replace(SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1))
+
+
+def wait_until(fact: Callable[[], bool], what: str) -> None:
+    deadline_s = time.monotonic() + 90.0
+    while not fact():
+        assert time.monotonic() < deadline_s, what
+        time.sleep(0.02)
+
+
+def answers(robot: SharedBackend) -> bool:
+    try:
+        robot.predict(SEEN)
+    except NotReadyError:
+        return False
+    return True
+
+
+def test_robots_that_ask_at_once_share_one_batch_and_get_their_own_answer(
+    served: Robot,
+) -> None:
+    robots = [served(options={"took_s": 0.05}, linger_s=0.1) for _ in range(6)]
+    alone = [robots[0].predict(seen(index)).actions for index in range(6)]
+    with ThreadPoolExecutor(6) as pool:
+        for _ in range(20):
+            together = list(pool.map(lambda index: robots[index].predict(seen(index)), range(6)))
+            for chunk, expected in zip(together, alone, strict=True):
+                np.testing.assert_allclose(chunk.actions, expected, rtol=0, atol=1e-5)  # the issue's bound
+            if max(chunk.metrics["shared.batch"] for chunk in together) > 1:
+                return
+    pytest.fail("no two robots were ever answered in one batch")
+
+
+def test_what_one_robot_sends_wrong_is_an_error_of_that_robot_only(served: Robot) -> None:
+    robots = [served(linger_s=0.1) for _ in range(3)]
+    asked = [SEEN, replace(SEEN, instruction="crash"), SEEN]
+
+    def ask(index: int) -> RoboNeuronError | None:
+        try:
+            robots[index].predict(asked[index])
+        except RoboNeuronError as error:
+            return error
+        return None
+
+    with ThreadPoolExecutor(3) as pool:
+        for _ in range(5):
+            errors = list(pool.map(ask, range(3)))
+            assert [type(error) for error in errors] == [type(None), InvalidInputError, type(None)]
+
+
+def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(robot: Robot, tmp_path: Path) -> None:
+    one, other = robot(), robot()
+    (pid,) = servers_in(tmp_path)
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(NotReadyError, match="shared model"):
+        one.predict(SEEN)
+    wait_until(lambda: answers(one), "another server answers")
+    wait_until(lambda: answers(other), "the other robot has found it too")
+    wait_until(lambda: len(servers_in(tmp_path)) == 1, "there is one of them")
+    assert servers_in(tmp_path) != [pid]
+
+
+@pytest.mark.slow
+def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under_way(
+    robot: Robot, tmp_path: Path
+) -> None:
+    one = robot(replicas=2)
+    wait_until(lambda: len(list((tmp_path / "run").glob("*.sock"))) == 2, "both have a socket")
+    ready = Links(one._options)
+    wait_until(lambda: all(ready._is_ready(path) for path in ready._paths), "both are ready")
+    ready.close()
+    expected = one.predict(SEEN).actions
+    told = one._links
+    assert told is not None
+    used = told._greet(told._paths[0])
+    assert used is not None
+    os.kill(used["pid"], signal.SIGKILL)
+    wait_until(lambda: used["pid"] not in servers_in(tmp_path), "it is gone")
+    lost = 0
+    for _ in range(20):
+        try:
+            np.testing.assert_array_equal(one.predict(SEEN).actions, expected)
+        except NotReadyError:
+            lost += 1
+    assert lost <= 1
+    wait_until(lambda: len(servers_in(tmp_path)) == 2, "it is replaced")
+
+
+@pytest.mark.slow
+def test_a_server_that_hangs_costs_no_more_than_the_deadline(robot: Robot, tmp_path: Path) -> None:
+    one = robot(timeout_s=0.3)
+    (pid,) = servers_in(tmp_path)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(NotReadyError, match="before the deadline"):
+            one.predict(SEEN)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    wait_until(lambda: answers(one), "it goes on; the late answer is thrown away")
+    expected = [one.predict(seen(index)).actions for index in (1, 2)]
+    assert not np.array_equal(*expected)
+
+
+def test_why_a_model_cannot_be_loaded_is_told_as_its_backend_says_it(served: Robot) -> None:
+    with pytest.raises(CheckpointError, match=r"There are no weights\. Copy some"):
+        served(options={"fails": True})
+    with pytest.raises(ConfigurationError, match="'absent'"):
+        served(backend="absent")
+
+
+def test_what_may_remember_robots_is_not_shared_unless_a_person_says_that_it_does_not(served: Robot) -> None:
+    with pytest.raises(ConfigurationError, match="stateless = true"):
+        served(backend="rememberer")
+    assert served(backend="rememberer", stateless=True).predict(SEEN).metrics["shared.batch"] == 1.0
+
+
+def test_a_server_without_robots_ends_and_leaves_no_socket(robot: Robot, tmp_path: Path) -> None:
+    one = robot(idle_s=1.0)
+    assert answers(one)
+    one.close()
+    wait_until(lambda: not servers_in(tmp_path), "it ends")
+    assert list((tmp_path / "run").glob("*.sock")) == []
+
+
+def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -> None:
+    one = served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    body = json.dumps([{"ask": "predict", "number": 1, "observation": {}}, []]).encode()
+    for nonsense in (
+        b"\xff" * 64,
+        b"GET / HTTP/1.1\r\n\r\n",
+        len(body).to_bytes(4, "big") + bytes(4) + body,
+        (1).to_bytes(4, "big") + bytes(4) + b"[",
+    ):
+        with socket.socket(socket.AF_UNIX) as wild:
+            wild.settimeout(30.0)
+            wild.connect(str(path))
+            wild.sendall(nonsense)
+            wild.shutdown(socket.SHUT_WR)
+            while wild.recv(4096):
+                pass
+    assert answers(one)
+    assert threading.active_count() < 50
+
+
+def test_sockets_lie_where_only_this_user_can_reach_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    options = SharedOptions(backend="reflex")
+    folder = directory_of(options)
+    assert folder == tmp_path / "roboneuron"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o755)
+    with pytest.raises(ConfigurationError, match="mode 700"):
+        directory_of(options)
+
+
+def test_robots_with_other_model_options_use_another_server() -> None:
+    base = SharedOptions(backend="oft", checkpoint="/models/a")
+    assert base.identity() == SharedOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
+    for other in ({"checkpoint": "/models/b"}, {"options": {"profile": "libero"}}, {"most": 4}):
+        assert base.identity() != base.model_copy(update=other).identity()
+
+
+def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(robot: Robot, tmp_path: Path) -> None:
+    given = options_in(tmp_path, idle_s=30.0)
+    environment = given["environment"]
+    assert isinstance(environment, dict)
+    lines = [f"{key} = {json.dumps(value)}" for key, value in given.items() if key != "environment"]
+    lines += ["[plugins.shared.environment]", *(f"{key} = {json.dumps(value)}" for key, value in environment.items())]
+    path = tmp_path / "roboneuron.toml"
+    path.write_text('[robot]\nname = "any"\n[plugins.shared]\n' + "\n".join(lines))
+    words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]
+    process = subprocess.Popen(words, env={**os.environ, **environment})
+    try:
+        wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), "it listens")
+        assert answers(robot())
+        assert servers_in(tmp_path) == [], "the robot has found it, and started none"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+        assert list((tmp_path / "run").glob("*.sock")) == []
+    finally:
+        process.kill()
+        process.wait()
+    assert main([*words[3:], "--replica", "1"]) == 2
