@@ -145,7 +145,8 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
         side = -side
         faults += bool(driver.read().detail["fault"])
         go(driver, target, 0.2)
-        time.sleep(random.uniform(0.15, 0.6))
+        wait(driver, lambda: bool(speeds(sim).max() > 0.1))
+        time.sleep(random.uniform(0.0, 0.45))
         held_s = time.monotonic()
         driver.hold()
         time.sleep(0.6)
@@ -158,7 +159,13 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
         allowed[1] += speed[1] ** 2 * (1.0 / 14.8 - 1.0 / 20.0)  # the client library allows joint 2 no more
         is_within = bool((gone.max(axis=0) <= allowed).all())
         within += is_within
-        rows.append(((did.rest_s() - held_s) * 1e3, speed.max(), (gone.max(axis=0) - gone[-1])[speed > 0.05].max()))
+        rows.append(
+            (
+                (did.rest_s() - held_s) * 1e3,
+                speed.max(),
+                (gone.max(axis=0) - gone[-1]).max(where=speed > 0.05, initial=0.0),
+            )
+        )
     took_ms, speeds_rad_s, back_rad = np.array(rows).T
     print(
         f"| {count} times hold() at {speeds_rad_s.min():.2f} to {speeds_rad_s.max():.2f} rad/s | "

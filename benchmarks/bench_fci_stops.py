@@ -42,7 +42,7 @@ SERVO_S = 0.04
 CENTRE_RAD = HOME + np.array([0.0, 0.5, 0.0, 0.45, 0.0, 0.1, 0.0])
 """The middle of the workspace."""
 AMPLITUDE_RAD = np.array([0.35, 0.08, 0.25, 0.1, 0.6, 0.2, 1.1])
-DIRECT_S = (1.2, 2.5)
+DIRECT_S = (1.0, 2.2)
 
 
 def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
@@ -72,8 +72,8 @@ def braking(record: Record, pressed_s: float) -> tuple[float, float]:
 
 def trial(
     cell: FciCell, press: Callable[[], object], way: str, random: np.random.Generator, side: int
-) -> dict[str, Any]:
-    """One stop of a `move_joints` on its way."""
+) -> dict[str, Any] | None:
+    """One stop of a `move_joints` on its way; None when it had arrived before."""
     target = CENTRE_RAD + side * AMPLITUDE_RAD * random.uniform(0.7, 1.0)
     duration_s = random.uniform(*DIRECT_S)
     wanted = random.uniform(0.2, 0.8) * float(np.abs(target - cell.position()).max()) / duration_s
@@ -88,6 +88,8 @@ def trial(
         raise SystemExit(f"the arm did not stop: {cell.agent.modules()['robot']}")
     time.sleep(0.4)
     record = cell.record(6.0).since(pressed_s - 0.02)
+    if record.rest_s() <= pressed_s:
+        return None
     begun_s, rest_s = braking(record, pressed_s)
     at = int(np.searchsorted(record.at_s, begun_s))
     speeds = np.abs(record.velocity[at])
@@ -123,6 +125,8 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
             cell.agent.do("reset_emergency_stop")
             if cell.fault():
                 cell.agent.do("recover_robot")
+            if row is None:
+                continue
             rows.append(row)
             with out.open("a") as lines:
                 lines.write(json.dumps(row) + "\n")

@@ -53,7 +53,7 @@ server_timeout_s = {server_timeout_s}
 reset_emergency_stop = "client"
 [supervisor]
 state_directory = "{folder}/state"
-start_timeout_s = 60.0
+start_timeout_s = 180.0
 [plugins.fr3]
 host = "{host}"
 realtime = "ignored"

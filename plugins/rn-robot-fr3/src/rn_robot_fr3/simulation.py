@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cameras
+from rn_robot_fr3.command import checked
 from rn_robot_fr3.engine import EngineChoice, choose_engine
 from rn_robot_fr3.ground_truth import CubeState, LiftClock
 from rn_robot_fr3.limits import (
@@ -143,13 +144,16 @@ class Simulation:
         Raises:
             InvalidInputError: an unknown or repeated joint, a non-finite value, a wrong size, a duration <= 0.
         """
-        wanted = _checked(names, position, duration_s)
+        wanted = JointCommand(
+            names=tuple(names), position=np.asarray(position, dtype=np.float64), duration_s=duration_s
+        )
+        checked(wanted)
         indices = [COMMANDED.index(name) for name in names]
         if COMMANDED.index(FINGER_JOINT) in indices:
             # After a grasp the setpoint lies inside the object; opening starts from where the finger really is.
             self._setpoint.position[-1] = self.joint_positions()[len(ARM_JOINTS)]
         target = self._setpoint.target.copy()
-        target[indices] = np.clip(wanted, self._lower[indices], self._upper[indices])
+        target[indices] = np.clip(wanted.position, self._lower[indices], self._upper[indices])
         possible_s = max(duration_s, self._setpoint.shortest_s(target, indices))
         self._setpoint.aim(target, indices, duration_s)
         return JointCommand(names=tuple(names), position=target[indices], duration_s=possible_s)
@@ -199,23 +203,6 @@ class Simulation:
 def opening(position: F64) -> float:
     """Gripper opening, 0 closed .. 1 open, for joint positions (9,) in the order of `world.JOINTS`."""
     return float(np.clip(position[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
-
-
-def _checked(names: Sequence[str], position: ArrayLike, duration_s: float) -> F64:
-    unknown = [name for name in names if name not in COMMANDED]
-    if unknown:
-        raise InvalidInputError(f"Joint {unknown[0]!r} is not known, expected some of {', '.join(COMMANDED)}.")
-    if not names or len(set(names)) != len(names):
-        raise InvalidInputError(f"Joint names are {list(names)}, expected at least one and each only once.")
-    values = np.asarray(position, dtype=np.float64)
-    if values.shape != (len(names),):
-        raise InvalidInputError(f"Positions have shape {values.shape}, expected ({len(names)},): one per joint name.")
-    if not np.isfinite(values).all():
-        bad = names[int(np.argmin(np.isfinite(values)))]
-        raise InvalidInputError(f"The position of {bad!r} is not finite; nothing was sent.")
-    if not (np.isfinite(duration_s) and duration_s > 0.0):
-        raise InvalidInputError(f"duration_s is {duration_s}, expected a finite number of seconds > 0.")
-    return values
 
 
 __all__ = ["COMMANDED", "JOINTS", "STEP_S", "Simulation"]

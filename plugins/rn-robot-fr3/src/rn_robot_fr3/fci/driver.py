@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_robot_fr3.command import checked
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.arm import ArmState, FciArm, load_client
-from rn_robot_fr3.fci.command import checked
 from rn_robot_fr3.fci.faults import Fault
 from rn_robot_fr3.fci.gripper import FciGripper
 from rn_robot_fr3.fci.options import FciDriverOptions

@@ -1,4 +1,4 @@
-"""What a joint command has to be before it is sent to the arm. Pure computation."""
+"""What a joint command has to be before it is sent to the arm, simulated or real. Pure computation."""
 
 from __future__ import annotations
 
