@@ -50,6 +50,7 @@ class HttpFeature(Feature[HttpOptions]):
 
         self.lease = OperatorLease(self.options.lease_s, host.audit, end_motion, has_left=has_left)
         host.tools.add_admission(self.lease.admit)
+        host.events.client.listen(self.lease.note_client)
         return self.lease.tools()
 
     def start(self, host: Host) -> None:
@@ -61,10 +62,9 @@ class HttpFeature(Feature[HttpOptions]):
         """Read the tokens and bind the address; what is returned serves clients."""
         from rn_serve_http.server import listen, make_server  # heavy
 
-        assert self.lease is not None, "the server asks for tools first"
         rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
         listener = self.listener = listen(self.options, tokens)
-        server = make_server(host.server, self.options, rules, tokens, self.lease.release)
+        server = make_server(host.server, self.options, rules, tokens, lambda who: host.events.client.tell(who, False))
 
         async def serve(leave: anyio.Event) -> None:
             async def end() -> None:

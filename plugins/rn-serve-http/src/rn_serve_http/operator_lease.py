@@ -93,6 +93,15 @@ class OperatorLease:
             self._operator, self._renewed_s = who, self._clock()
             return before if before != who else ""
 
+    def note_client(self, who: str, is_here: bool) -> None:
+        """A client has made a call, of whatever robot, or has left."""
+        if not is_here:
+            self.release(who)
+            return
+        with self._lock:
+            if who == self._operator:
+                self._renewed_s = self._clock()
+
     def release(self, who: str) -> None:
         """A client has left; if it was the operator, the next one that acts is."""
         with self._lock:

@@ -9,7 +9,8 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar, cast
+from functools import partial
+from typing import Any, Protocol, TypeVar, cast
 
 import anyio
 from anyio import to_thread
@@ -19,13 +20,13 @@ from mcp.server.context import ServerRequestContext
 
 from roboneuron import __version__
 from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError, StateError
+from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import holder_of, watching
 from roboneuron.server.diagnostics import HealthDiagnostics
-from roboneuron.server.emergency import SafetyReports
+from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
-from roboneuron.server.feature import Features
+from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
@@ -33,6 +34,7 @@ from roboneuron.server.motion.path import DirectPath
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
+from roboneuron.server.sections import check_configuration
 from roboneuron.server.tool import Stage, UnfinishedCallError
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
@@ -79,6 +81,59 @@ class AnnouncingServer(Server[Any]):
     ) -> Any:
         """See Server."""
         return super().create_initialization_options(notification_options or self.announced, *arguments, **named)
+
+
+class Served(Protocol):
+    """What `serve` serves: an Application, or several behind one surface; the members mean the same."""
+
+    @property
+    def tools(self) -> ToolRegistry: ...
+    @property
+    def resources(self) -> Resources: ...
+    @property
+    def features(self) -> Features: ...
+    @property
+    def server(self) -> AnnouncingServer: ...
+    def check(self) -> None: ...
+    def listen(self) -> Transport | None: ...
+    def press_on_signal(self) -> None: ...
+    def open(self) -> None: ...
+    async def settle(self) -> None: ...
+    def close(self) -> None: ...
+
+
+def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServer:
+    """The MCP server in front of tools and resources; they are asked with each request."""
+
+    async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+        return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
+
+    async def call_tool(
+        context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
+    ) -> types.CallToolResult | types.InputRequiredResult:
+        try:
+            made = RequestContext(context, params, surface.features)
+            return await surface.tools.call(params.name, params.arguments or {}, made)
+        except UnfinishedCallError as question:
+            return cast(types.InputRequiredResult, question.result)
+
+    async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
+        return types.ListResourcesResult(resources=surface.resources.listing())
+
+    async def read_resource(
+        _: ServerRequestContext[Any, Any], params: types.ReadResourceRequestParams
+    ) -> types.ReadResourceResult:
+        return types.ReadResourceResult(contents=[surface.resources.read(str(params.uri))])
+
+    return AnnouncingServer(
+        name,
+        version=__version__,
+        instructions=instructions,
+        on_list_tools=list_tools,
+        on_call_tool=call_tool,
+        on_list_resources=list_resources,
+        on_read_resource=read_resource,
+    )
 
 
 class RequestContext:
@@ -151,9 +206,26 @@ class RequestContext:
 
 
 class Application:
-    """Everything `roboneuron serve` consists of; `close` ends all of it."""
+    """Everything `roboneuron serve` consists of for one robot; `close` ends all of it.
 
-    def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
+    Args:
+        config: of the robot.
+        plugins, supervisor: others than usual.
+        attached: clients come to `server`; not so for one of several robots.
+    """
+
+    resources: Resources
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        plugins: PluginCatalogue | None = None,
+        supervisor: Supervisor | None = None,
+        attached: bool = True,
+    ) -> None:
+        if config.robots:
+            raise ConfigurationError("This works with one robot; the configuration has [robots.<name>].")
         self.started_s = time.monotonic()
         self._is_joining = False
         self._joining = anyio.Lock()
@@ -185,7 +257,7 @@ class Application:
             on_call=self.events.call.tell,
             on_change=self.events.tools.tell,
         )
-        self.server = self._build(config.server.name)
+        self.server = make_server(self, config.server.name, INSTRUCTIONS)
         self.host = Host(
             loop=self.loop,
             supervisor=self.supervisor,
@@ -203,6 +275,22 @@ class Application:
         offered = self.features.offer(self.host, self.tools)
         self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
+        if attached:
+            self.features.attach(self.host)
+
+    def check(self) -> None:
+        """Check the configuration against what is installed. Raises ConfigurationError, PlanningError."""
+        check_configuration(self.loop.base, self.plugins.current())
+        self.features.check()
+
+    def listen(self) -> Transport | None:
+        """Begin to listen for clients; None for stdio."""
+        return self.features.listen(self.host)
+
+    def press_on_signal(self) -> None:
+        """From now on SIGUSR1 latches the emergency stop; called on the main thread."""
+        stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
+        press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
@@ -252,34 +340,3 @@ class Application:
                 self.direct.allow_list.refresh()
             except RoboNeuronError as error:
                 log.error("What the robot offers cannot be exposed: %s", error)
-
-    def _build(self, name: str) -> AnnouncingServer:
-        async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
-            return types.ListToolsResult(tools=self.tools.listing(holder_of(context.request).role))
-
-        async def call_tool(
-            context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
-        ) -> types.CallToolResult | types.InputRequiredResult:
-            try:
-                made = RequestContext(context, params, self.features)
-                return await self.tools.call(params.name, params.arguments or {}, made)
-            except UnfinishedCallError as question:
-                return cast(types.InputRequiredResult, question.result)
-
-        async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
-            return types.ListResourcesResult(resources=self.resources.listing())
-
-        async def read_resource(
-            _: ServerRequestContext[Any, Any], params: types.ReadResourceRequestParams
-        ) -> types.ReadResourceResult:
-            return types.ReadResourceResult(contents=[self.resources.read(str(params.uri))])
-
-        return AnnouncingServer(
-            name,
-            version=__version__,
-            instructions=INSTRUCTIONS,
-            on_list_tools=list_tools,
-            on_call_tool=call_tool,
-            on_list_resources=list_resources,
-            on_read_resource=read_resource,
-        )
