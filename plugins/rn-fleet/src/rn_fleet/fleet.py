@@ -24,11 +24,12 @@ from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.app import INSTRUCTIONS, Application, make_server
+from roboneuron.server.app import INSTRUCTIONS, Application
 from roboneuron.server.emergency import SIGNAL, press_on_signal
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features, Transport
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.surface import make_server
 from roboneuron.supervisor.changes import Periodic
 from roboneuron.supervisor.launching import Command, module_command
 from roboneuron.supervisor.supervisor import Supervisor
@@ -39,7 +40,7 @@ _LOOK_S = 0.02
 
 
 class Fleet:
-    """Everything `roboneuron serve` consists of for several robots, a `roboneuron.server.app.Served`.
+    """Everything `roboneuron serve` consists of for several robots, a `roboneuron.server.surface.Served`.
 
     Args:
         config: with `robots`.

@@ -241,7 +241,7 @@ class FeatureSpec(Spec):
         on_join: "module:attribute" of a function without arguments that every module process calls once it has joined
             ROS; None for none. In the server, `start` is the place for that.
         fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
-            and the state directory, returns a `roboneuron.server.app.Served`; None when it does not do that.
+            and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
     """
 
     kind: ClassVar[str] = "feature"

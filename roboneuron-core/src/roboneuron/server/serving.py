@@ -20,9 +20,10 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.app import AnnouncingServer, Application, Served
+from roboneuron.server.app import Application
 from roboneuron.server.feature import Transport
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
+from roboneuron.server.surface import AnnouncingServer, Served
 
 log = logging.getLogger(__name__)
 _END_S = 20.0
