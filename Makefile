@@ -136,7 +136,7 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
 	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
 
-demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases with one velocity tool
+demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at the same time
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
 
 test: test-units test-ros ## the default test suite
@@ -236,7 +236,8 @@ $(VENV)/.demo-learned: $(VENV)/.demo
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
-	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-tools-ros)
+	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-tools-ros \
+	  --editable plugins/rn-fleet)
 	@touch $@
 
 $(VENV)/.docs: constraints.txt | $(BIN)/python

@@ -1,10 +1,11 @@
-"""An MCP client drives three mobile bases with one velocity tool, each along its own path; odometry is the judge.
+"""An MCP client drives three mobile bases at the same time, each along its own path; odometry is the judge.
 
     make demo-bases      or      python examples/drive_bases.py [--output out/demo-bases]
 
-Everything happens over MCP: the paths are sequences of velocities that `publish_velocity_sequence` plays, and
-`read_odometry` says where each base came to. A base that is asked for what it cannot do refuses with a reason. Exit
-status 0 means that every base ended within the tolerance of its path.
+Everything happens over MCP, with one server for all: the paths are sequences of velocities that
+`publish_velocity_sequence` plays, and `read_odometry` says where each base came to. A base that is asked for what it
+cannot do refuses with a reason. Exit status 0 means that every base ended within the tolerance of its path, and that
+all three were on their way at once.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import argparse
 import math
 import os
 import sys
+import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -76,15 +79,30 @@ def to_step(segment: Segment) -> dict[str, Any]:
     return {"message": message, "duration_s": segment.duration_s}
 
 
-async def drive(client: Client, robot: str, console: Console) -> tuple[bool, list[PlanarPose], list[str]]:
-    """One base along its path; success, track by odometry, row for the table."""
-    path = PATHS[robot]
-    await must(client, "start_robot", {"robot": robot})
+@dataclass
+class Drive:
+    """What became of one base: its track by odometry, its row for the table, and when it drove (monotonic time)."""
+
+    succeeded: bool = False
+    track: list[PlanarPose] = field(default_factory=list)
+    row: list[str] = field(default_factory=list)
+    begun_s: float = 0.0
+    ended_s: float = 0.0
+
+
+async def check_refusal(client: Client, robot: str, console: Console) -> None:
+    """A base refuses what it cannot do, for a reason."""
     succeeded, _, reason = await call(client, "publish_velocity", {"robot": robot, "message": IMPOSSIBLE[robot]})
     if succeeded:
         sys.exit(f"{robot} took a velocity it cannot follow: {IMPOSSIBLE[robot]}")
     console.print(f"  [bold]{robot}[/] refuses {IMPOSSIBLE[robot]}: [dim]{reason.splitlines()[0]}[/]")
-    track = [await locate(client, robot)]
+
+
+async def drive(client: Client, robot: str, made: Drive) -> None:
+    """One base along its path."""
+    path = PATHS[robot]
+    track = made.track
+    track.append(await locate(client, robot))
 
     async def watch(done: anyio.Event) -> None:
         while not done.is_set():
@@ -92,32 +110,31 @@ async def drive(client: Client, robot: str, console: Console) -> tuple[bool, lis
             await anyio.sleep(LOOK_PERIOD_S)
 
     done = anyio.Event()
-    with console.status(f"{robot} drives a {path.name}, {path.length_m:.1f} m …"):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(watch, done)
-            steps = [to_step(segment) for segment in path.segments]
-            await must(client, "publish_velocity_sequence", {"robot": robot, "steps": steps})
-            await anyio.sleep(1.5)  # the base slows down at its own acceleration
-            done.set()
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(watch, done)
+        steps = [to_step(segment) for segment in path.segments]
+        made.begun_s = time.monotonic()
+        await must(client, "publish_velocity_sequence", {"robot": robot, "steps": steps})
+        made.ended_s = time.monotonic()
+        await anyio.sleep(1.5)  # the base slows down at its own acceleration
+        done.set()
     end, goal = await locate(client, robot), planned_track(PLATFORMS[robot], path.segments)[-1]
-    await must(client, "stop_robot", {})
+    await must(client, "stop_robot", {"robot": robot})
     off_m = math.hypot(end.x_m - goal.x_m, end.y_m - goal.y_m)
     off_rad = abs((end.yaw_rad - goal.yaw_rad + math.pi) % (2 * math.pi) - math.pi)
-    succeeded = off_m <= path.end_m and off_rad <= path.end_rad
-    console.print(f"  {'[green]✓[/]' if succeeded else '[red]✗[/]'} {robot} drove a {path.name}")
-    row = [
+    made.succeeded = off_m <= path.end_m and off_rad <= path.end_rad
+    made.row = [
         robot,
         path.name,
         f"{path.length_m:.1f} m",
         f"{off_m * 100:.0f} cm (≤ {path.end_m * 100:.0f})",
         f"{math.degrees(off_rad):.0f}° (≤ {math.degrees(path.end_rad):.0f})",
-        "[green]yes[/]" if succeeded else "[red]no[/]",
+        "[green]yes[/]" if made.succeeded else "[red]no[/]",
     ]
-    return succeeded, track, row
 
 
 async def play(output: Path, console: Console) -> bool:
-    """All three bases, one after the other, on one server."""
+    """All three bases at once, on one server."""
     output.mkdir(parents=True, exist_ok=True)
     server = StdioServerParameters(
         command=sys.executable,
@@ -127,20 +144,29 @@ async def play(output: Path, console: Console) -> bool:
     table = Table(title="Judged by odometry", title_justify="left", title_style="bold")
     for column in ("base", "path", "length", "off at the end", "heading off", "followed"):
         table.add_column(column)
-    all_succeeded, pictures = True, []
-    console.print("\n[bold]One velocity tool, three bases[/]")
+    drives = {robot: Drive() for robot in PATHS}
+    console.print("\n[bold]One server, three bases at once[/]")
     with (output / "server.log").open("w", encoding="utf-8") as log:
         async with Client(stdio_client(server, errlog=log)) as client:
+            async with anyio.create_task_group() as tasks:
+                for robot in PATHS:
+                    tasks.start_soon(must, client, "start_robot", {"robot": robot})
             for robot in PATHS:
-                succeeded, track, row = await drive(client, robot, console)
-                all_succeeded &= succeeded
-                table.add_row(*row)
-                pictures.append(draw_track(PLATFORMS[robot], track, width=480, height=320))
+                await check_refusal(client, robot, console)
+            with console.status("all three drive …"):
+                async with anyio.create_task_group() as tasks:
+                    for robot, made in drives.items():
+                        tasks.start_soon(drive, client, robot, made)
+    pictures = [draw_track(PLATFORMS[robot], made.track, width=480, height=320) for robot, made in drives.items()]
+    for made in drives.values():
+        table.add_row(*made.row)
+    together_s = min(made.ended_s for made in drives.values()) - max(made.begun_s for made in drives.values())
     strip = output / "film-strip.png"
     Image.fromarray(np.concatenate(pictures, axis=1)).save(strip)
     console.print(table)
+    console.print(f"  all three on their way at once for {together_s:.1f} s", highlight=False)
     console.print(f"  film strip  {strip}", highlight=False)
-    return all_succeeded
+    return together_s > 0 and all(made.succeeded for made in drives.values())
 
 
 def main() -> int:

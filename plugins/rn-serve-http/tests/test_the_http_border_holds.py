@@ -18,7 +18,6 @@ import pytest
 
 from rn_serve_http import connections
 from rn_serve_http.connections import BODY_S, HEADERS_S, MOST_UNPROVEN, MOST_UNPROVEN_OF_ONE, ConnectionTable
-from rn_serve_http.feature import HttpFeature
 from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
@@ -28,6 +27,7 @@ from rn_serve_http.tokens import TokenTable
 from roboneuron.errors import StateError
 from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
+from roboneuron.server.events import Events
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 pytestmark = pytest.mark.timeout(120)
@@ -71,17 +71,11 @@ def bearer(role: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {TOKENS[role]}"}
 
 
-def lease_of(application: Application) -> OperatorLease:
-    lease = application.host.feature("http", HttpFeature).lease
-    assert lease is not None
-    return lease
-
-
 @contextmanager
-def serving(application: Application, tokens: TokenTable, lease: OperatorLease | None = None) -> Iterator[Server]:
+def serving(application: Application, tokens: TokenTable, events: Events | None = None) -> Iterator[Server]:
     options = HttpOptions(port=0, allowed_origins=(PAGE,))
     with listen(options, tokens) as listener:
-        server = make_server(application.server, options, HostRules(options), tokens, lease or lease_of(application))
+        server = make_server(application.server, options, HostRules(options), tokens, events or application.events)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
         thread.start()
         deadline_s = time.monotonic() + 30
@@ -344,7 +338,9 @@ def test_clients_without_a_session_are_told_apart(open_server: Server) -> None:
 def test_an_operator_with_an_open_stream_is_not_silent(application: Application) -> None:
     now_s, lapses = [100.0], list[str]()
     lease = OperatorLease(60.0, application.host.audit, lapses.append, clock=lambda: now_s[0])
-    with serving(application, TABLE, lease) as server:
+    events = Events()
+    events.presence.listen(lease.note_presence)
+    with serving(application, TABLE, events) as server:
         session = server.open_session(**bearer("operator"))
         lease.take_over("operator", "operator")
         stream = {**session, "Accept": "text/event-stream"}
@@ -376,7 +372,7 @@ def test_where_it_serves_is_said_once_it_does(application: Application, caplog: 
     caplog.set_level(logging.INFO)
     options = HttpOptions(port=0)
     with listen(options, TABLE) as listener:
-        server = make_server(application.server, options, HostRules(options), TABLE, lease_of(application))
+        server = make_server(application.server, options, HostRules(options), TABLE, application.events)
         assert "serves MCP on" not in caplog.text
         seen: list[bool] = []
 

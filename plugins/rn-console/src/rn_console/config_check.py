@@ -17,15 +17,20 @@ class ConfigCheck:
         """Refuse what `roboneuron serve` would refuse at its start, but for the address it listens on."""
         from roboneuron.config import load_config
         from roboneuron.plugins.discovery import discover
-        from roboneuron.server.app import Application  # heavy
         from roboneuron.server.sections import check_configuration
+        from roboneuron.server.serving import make_served  # heavy
 
         config = load_config(arguments.file)
-        check_configuration(config, discover(config.disabled_plugins))
-        application = Application(config)  # derives the tools of [[expose]]
+        if not config.robots:
+            check_configuration(config, discover(config.disabled_plugins))
+        served = make_served(config)  # derives the tools of [[expose]]
         try:
-            application.features.check()
+            served.check()
         finally:
-            application.close()
+            served.close()
+        if config.robots:
+            named = ", ".join(f"{name} ({one.robot.name}, /{one.namespace})" for name, one in config.robots.items())
+            print(f"{arguments.file} is valid: robots {named}.")
+            return 0
         print(f"{arguments.file} is valid: robot {config.robot.name!r}, namespace /{config.namespace}.")
         return 0

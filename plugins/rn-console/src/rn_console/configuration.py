@@ -98,6 +98,12 @@ def reference() -> str:
         for heading, section in tables:
             lines += _page_table(heading, section)
     lines += [
+        "## `[robots.<name>]`: several robots in one file",
+        "",
+        "A whole configuration of each robot, instead of `[robot]` (package `rn-fleet`): `robot`, a name or a table of",
+        "the keys of `[robot]`, and the other tables as above, such as `[robots.left.inference]`. What stands at the",
+        "top level is shared by all; see docs/fleet.md.",
+        "",
         "## `[plugins.<name>]`: options of one plugin",
         "",
         "One section per backend, runtime, acceleration, perception source or controller, under its own name; the",
@@ -129,7 +135,7 @@ def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
         origin = get_origin(field.annotation)
         choices = (field.annotation, *get_args(field.annotation))
         section = next((c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)), None)
-        if section is None:
+        if section is None or field.exclude:
             continue
         if origin in (dict, Mapping):
             yield f"[{name}.<name>]", section

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from rn_console.log_runs import log_runs
 from rn_console.status import ModuleStatus, ServerStatus
+from roboneuron.config import robot_folder
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.health import Health, ModuleView, Report, assess
@@ -44,7 +45,8 @@ class FoundServer:
 def find_servers(state_directory: Path) -> list[FoundServer]:
     """Servers that log below this state directory and are alive, the newest first; another user's are left out."""
     found = []
-    for run in log_runs(state_directory):
+    folders = [state_directory, *sorted(robot_folder(state_directory).parent.glob("*"))]
+    for run in (run for folder in folders for run in log_runs(folder)):
         command = _read_proc(run.pid, "cmdline").split("\0")
         if "serve" in command and any("roboneuron" in word for word in command):
             variables = dict(entry.partition("=")[::2] for entry in _read_proc(run.pid, "environ").split("\0"))
@@ -116,8 +118,6 @@ class DiagnosticsListener:
             reports = dict(self._reports)
         domain = own_domain()
         servers = [server for server in find_servers(self._state_directory) if server.domain == domain]
-        latch = EmergencyStopLatch(self._state_directory / FILE_NAME, time.time_ns).read_state()
-        cause = f"{latch.who}: {latch.reason}" if latch.reason else latch.who
         found = []
         for namespace in sorted({key[0] for key in reports}) or [""]:
             modules = [
@@ -125,6 +125,11 @@ class DiagnosticsListener:
                 for (place, node, pid), report in sorted(reports.items(), key=_in_order)
                 if place == namespace
             ]
+            folder = robot_folder(self._state_directory, namespace.replace("_", "-"))
+            own = robot_folder(self._state_directory, namespace) if not folder.is_dir() else folder
+            directory = own if namespace and own.is_dir() else self._state_directory
+            latch = EmergencyStopLatch(directory / FILE_NAME, time.time_ns).read_state()
+            cause = f"{latch.who}: {latch.reason}" if latch.reason else latch.who
             server = _server_of([m.pid for m in modules if m.pid is not None], servers)
             found.append(
                 ServerStatus(

@@ -46,6 +46,26 @@ class Session:
             raise NotReadyError(" ".join(part.text for part in answer.content if isinstance(part, TextContent)))
         return dict(answer.structured_content or {})
 
+    async def robots(self, tool: str) -> list[dict[str, str]]:
+        """What a tool has to be given, for each robot: `robot` where the server has several of them.
+
+        Raises:
+            NotReadyError: the server has no such tool.
+        """
+        tools = {found.name: found for found in (await self._client.list_tools()).tools}
+        if tool not in tools:
+            raise NotReadyError(f"The server has no tool {tool}.", hint="Install what brings it where the server runs.")
+        if "robot" not in tools[tool].input_schema.get("required", ()):
+            return [{}]
+        return [{"robot": name} for name in tools[tool].input_schema["properties"]["robot"]["enum"]]
+
     async def status(self) -> ServerStatus:
         """The answer of `get_status`."""
         return ServerStatus.from_answer(await self.call("get_status"), self._source)
+
+    async def statuses(self) -> list[ServerStatus]:
+        """The answers of `get_status`, one for each robot."""
+        return [
+            ServerStatus.from_answer(await self.call("get_status", robot), self._source)
+            for robot in await self.robots("get_status")
+        ]

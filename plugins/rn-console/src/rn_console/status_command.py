@@ -85,7 +85,7 @@ async def _ask(arguments: Namespace) -> int:
         session = Session(client, arguments.url)
         with _Display(arguments) as display:
             while True:
-                statuses = [await session.status()]
+                statuses = await session.statuses()
                 display.show(statuses)
                 if arguments.watch is None:
                     return exit_status(statuses)

@@ -43,13 +43,13 @@ def _listing(arguments: Namespace) -> list[Tool]:
 
         return anyio.run(_ask, arguments)
     from roboneuron.config import load_config
-    from roboneuron.server.app import Application  # heavy
+    from roboneuron.server.serving import make_served  # heavy
 
-    application = Application(load_config(arguments.config))
+    served = make_served(load_config(arguments.config))
     try:
-        return application.tools.listing()
+        return served.tools.listing()
     finally:
-        application.close()
+        served.close()
 
 
 async def _ask(arguments: Namespace) -> list[Tool]:

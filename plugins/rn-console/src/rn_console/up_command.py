@@ -126,14 +126,12 @@ async def _start(arguments: Namespace, screen: object) -> int:
 
     from rn_console.screen import Screen
     from rn_console.session import Session
-    from roboneuron.errors import NotReadyError
 
     assert isinstance(screen, Screen)
     asked = {"instruction": arguments.instruction, "model": arguments.model}
     async with connection.connect(arguments) as client:
-        if "start_all" not in [tool.name for tool in (await client.list_tools()).tools]:
-            raise NotReadyError("The server has no tool start_all.", hint="Install rn-tasks where the server runs.")
         session = Session(client, arguments.url or "a server of its own")
+        robots = await session.robots("start_all")
         with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
             ended = anyio.Event()
 
@@ -146,17 +144,20 @@ async def _start(arguments: Namespace, screen: object) -> int:
             async with anyio.create_task_group() as group:
                 group.start_soon(wait)
                 given = {name: value for name, value in asked.items() if value is not None}
-                with screen.step("start everything") as update:
-                    answer = await session.call("start_all", given, on_progress=update)
-                for name, after_s in answer["ready_after_s"].items():
-                    screen.say(f"{name} works after {after_s:.1f} s")
+                for robot in robots:
+                    whose = f"{robot['robot']}: " if robot else ""
+                    with screen.step(f"{whose}start everything") as update:
+                        answer = await session.call("start_all", {**given, **robot}, on_progress=update)
+                    for name, after_s in answer["ready_after_s"].items():
+                        screen.say(f"{whose}{name} works after {after_s:.1f} s")
                 if arguments.url is None:
                     screen.end(True, "up; Ctrl-C or `roboneuron down` ends it")
                     await anyio.sleep_forever()
                 group.cancel_scope.cancel()
             if arguments.url is None and ended.is_set():
                 with anyio.CancelScope(shield=True), anyio.move_on_after(_DOWN_S), screen.step("stop everything"):
-                    await session.call("stop_all")
+                    for robot in robots:
+                        await session.call("stop_all", robot)
     return 0
 
 
@@ -164,7 +165,11 @@ async def _stop(arguments: Namespace) -> int:
     from rn_console.session import Session
 
     async with connection.connect(arguments) as client:
-        answer = await Session(client, arguments.url).call("stop_all")
-        gone = ", ".join(stopped["module"] for stopped in answer["stopped"])
+        session = Session(client, arguments.url)
+        stopped = []
+        for robot in await session.robots("stop_all"):
+            answer = await session.call("stop_all", robot)
+            stopped += [" of ".join([module["module"], *robot.values()]) for module in answer["stopped"]]
+        gone = ", ".join(stopped)
         print(f"stopped {gone}" if gone else "nothing ran")
     return 0

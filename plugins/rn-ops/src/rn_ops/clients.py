@@ -11,7 +11,7 @@ from mcp.server.subscriptions import ListenHandler
 
 from rn_ops.asking import Questions
 from rn_ops.notices import ToolNotices
-from roboneuron import Feature, Host, Tool
+from roboneuron import Feature, Host
 
 
 class Clients(Feature[None]):
@@ -22,8 +22,8 @@ class Clients(Feature[None]):
         self._notices = ToolNotices()
         self._questions = Questions()
 
-    def tools(self, host: Host) -> tuple[Tool[Any], ...]:
-        """There are none; what clients may subscribe to is known from here on."""
+    def attach(self, host: Host) -> None:
+        """What clients may subscribe to is known from here on."""
         host.events.tools.listen(self._notices.tools_changed)
         host.events.resource.listen(self._notices.resource_updated)
         notices, server = self._notices, host.server
@@ -48,7 +48,6 @@ class Clients(Feature[None]):
         listening = ListenHandler(notices.bus)
         server.add_request_handler("subscriptions/listen", types.SubscriptionsListenRequestParams, listening)
         server.announced = NotificationOptions(tools_changed=True)
-        return ()
 
     async def ask(
         self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, question: str

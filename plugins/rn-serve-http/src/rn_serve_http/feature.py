@@ -70,6 +70,8 @@ class HttpFeature(Feature[HttpOptions]):
             by_streams=self.options.lease_streams,
         )
         host.tools.add_admission(self.lease.admit)
+        host.events.client.listen(self.lease.note_client)
+        host.events.presence.listen(self.lease.note_presence)
         return self.lease.tools()
 
     def start(self, host: Host) -> None:
@@ -81,10 +83,9 @@ class HttpFeature(Feature[HttpOptions]):
         """Read the tokens and bind the address; what is returned serves clients."""
         from rn_serve_http.server import listen, make_server  # heavy
 
-        assert self.lease is not None, "the server asks for tools first"
         rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
         listener = self.listener = listen(self.options, tokens)
-        server = make_server(host.server, self.options, rules, tokens, self.lease)
+        server = make_server(host.server, self.options, rules, tokens, host.events)
 
         async def serve(leave: anyio.Event) -> None:
             async def end() -> None:

@@ -102,6 +102,15 @@ class OperatorLease:
             self._renew()
             return before if before != who else ""
 
+    def note_client(self, who: str, is_here: bool) -> None:
+        """A client has made a call, of whatever robot, or has left."""
+        if not is_here:
+            self.release(who)
+            return
+        with self._lock:
+            if who == self._operator:
+                self._renewed_s = self._clock()
+
     def release(self, who: str) -> None:
         """A client has left; if it was the operator, the next one that acts is. A lease goes on until it lapses."""
         with self._lock:
@@ -111,13 +120,14 @@ class OperatorLease:
     @contextmanager
     def present(self, who: str) -> Iterator[None]:
         """A client has a request, a stream or a page open within the block: it is not silent."""
-        self._count(who, 1)
+        self.note_presence(who, 1)
         try:
             yield
         finally:
-            self._count(who, -1)
+            self.note_presence(who, -1)
 
-    def _count(self, who: str, change: int) -> None:
+    def note_presence(self, who: str, change: int) -> None:
+        """A client has opened (1) or closed (-1) something."""
         if not self._by_streams:
             return
         with self._lock:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
@@ -18,12 +18,12 @@ from rn_serve_http.addresses import bind
 from rn_serve_http.connections import BoundedProtocol, ConnectionTable
 from rn_serve_http.local_clients import local_client
 from rn_serve_http.middleware import AccessMiddleware, session_name
-from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
 from rn_serve_http.tokens import TokenTable
 from roboneuron import __version__
+from roboneuron.server.events import Events
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
@@ -38,16 +38,24 @@ def make_server(
     options: HttpOptions,
     rules: HostRules,
     tokens: TokenTable,
-    lease: OperatorLease,
+    events: Events,
 ) -> uvicorn.Server:
     """The HTTP server around an MCP server; `serve` it with a socket.
 
     Args:
-        lease: told who has something open, and which client without a token has ended its session.
+        events: told who has something open, and which client without a token has ended its session.
     """
 
     def release(session: str) -> None:
-        lease.release(local_client(session_name(session)).who)
+        events.client.tell(local_client(session_name(session)).who, False)
+
+    @contextmanager
+    def present(who: str) -> Iterator[None]:
+        events.presence.tell(who, 1)
+        try:
+            yield
+        finally:
+            events.presence.tell(who, -1)
 
     inner = server.streamable_http_app(
         streamable_http_path=PATH,
@@ -62,7 +70,7 @@ def make_server(
     sessions = Sessions(inner, options.max_request_bytes, most, release)
     return _Server(
         uvicorn.Config(
-            AccessMiddleware(sessions, rules, tokens, connections, lease.present),
+            AccessMiddleware(sessions, rules, tokens, connections, present),
             http=cast(Any, partial(BoundedProtocol, connections)),
             log_config=None,
             access_log=False,

@@ -54,7 +54,6 @@ class TasksFeature(Feature[TasksSections]):
         arbiter = self._arbiter = TaskArbiter()
         host.tools.add_admission(arbiter.admit)
         host.events.stop.listen(lambda kind: arbiter.end())
-        host.events.open.listen(lambda: offer_prompts(host.server))
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
         approval = Approval(self.options.tasks)
@@ -81,6 +80,10 @@ class TasksFeature(Feature[TasksSections]):
             ),
             *self._events.resources(),
         ]
+
+    def attach(self, host: Host) -> None:
+        """See `Feature.attach`."""
+        offer_prompts(host.server)
 
     def start(self, host: Host) -> None:
         """See `Feature.start`."""

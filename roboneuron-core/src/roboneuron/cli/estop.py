@@ -1,7 +1,7 @@
 """Stop all motion of every server and module that uses this state directory; works without any of them.
 
-The stop is latched in a file that every module looks at 50 times a second, and that outlives them all. A person
-releases it, in a terminal, by `roboneuron estop --reset`; that is audited.
+The stop is latched in a file that every module looks at 50 times a second, and that outlives them all; each of several
+robots has one of its own. A person releases it, in a terminal, by `roboneuron estop --reset`; that is audited.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron estop`."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the state directory")
     parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="the state directory itself")
+    parser.add_argument("--robot", metavar="NAME", help="only this one of several robots; all of them without it")
     parser.add_argument("--reason", default="", help="why; kept in the latch and in the audit")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--reset", action="store_true", help="release it; look at the robot first")
@@ -32,7 +33,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron estop`."""
-    from roboneuron.config import load_config
+    from roboneuron.config import load_config, robot_folder
+    from roboneuron.errors import ConfigurationError, RoboNeuronError
     from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
     from roboneuron.gate.audit import AuditLog, AuditRecord
     from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
@@ -40,20 +42,35 @@ def run(arguments: Namespace) -> int:
 
     configured = load_config(arguments.config).supervisor.state_directory if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
-    latch = EmergencyStopLatch(directory / FILE_NAME, time.time_ns)
-    audit = AuditLog(directory / AUDIT_NAME, time.time_ns)
+    of_robots = robot_folder(directory).parent
+    if arguments.robot is not None and not (of_robots / arguments.robot).is_dir():
+        known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
+        raise ConfigurationError(f"There is no robot {arguments.robot!r} in {of_robots}; there are: {known}.")
     who = f"{getpass.getuser()} at the command line"
-    if arguments.status:
-        state = latch.read_state()
-        cause = f" by {state.cause}" if state.cause else ""
-        print(f"The emergency stop is {f'latched{cause}' if state.latched else 'not latched'} ({latch.path}).")
-        return int(state.latched)
-    if arguments.reset:
-        return _reset(latch, audit, who)
-    latch.latch(who=who, reason=arguments.reason)
-    print(f"Emergency stop latched: {latch.path}")
-    audit.write(AuditRecord(who=who, role="", tool="estop", verdict="latched", reason=arguments.reason))
-    return 0
+    done: set[Path] = set()
+    status, failure = 0, None
+    while folders := ({of_robots / arguments.robot} if arguments.robot else {directory, *of_robots.glob("*")}) - done:
+        for folder in sorted(folders):  # a server that starts meanwhile makes more of them
+            latch = EmergencyStopLatch(folder / FILE_NAME, time.time_ns)
+            audit = AuditLog(folder / AUDIT_NAME, time.time_ns)
+            if arguments.status:
+                state = latch.read_state()
+                cause = f" by {state.cause}" if state.cause else ""
+                print(f"The emergency stop is {f'latched{cause}' if state.latched else 'not latched'} ({latch.path}).")
+                status |= int(state.latched)
+            elif arguments.reset:
+                status |= _reset(latch, audit, who)
+            else:
+                try:
+                    latch.latch(who=who, reason=arguments.reason)
+                    print(f"Emergency stop latched: {latch.path}")
+                    audit.write(AuditRecord(who=who, role="", tool="estop", verdict="latched", reason=arguments.reason))
+                except RoboNeuronError as error:  # the others are to be stopped all the same
+                    failure = error
+        done |= folders
+    if failure is not None:
+        raise failure
+    return status
 
 
 def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:

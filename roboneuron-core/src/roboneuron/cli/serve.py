@@ -62,7 +62,7 @@ def divert_standard_streams() -> tuple[int, int]:
 
 
 def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
-    """The configuration with what the command line says about the server.
+    """The configuration, and that of each of several robots, with what the command line says about the server.
 
     Raises:
         ConfigurationError: nothing serves the transport, or it does not take that address.
@@ -71,6 +71,9 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     from roboneuron.errors import ConfigurationError
     from roboneuron.plugins.discovery import discover
 
+    if config.robots:
+        robots = {name: with_server(one, arguments, registry) for name, one in config.robots.items()}
+        config = config.model_copy(update={"robots": robots})
     if arguments.transport is not None:
         server = config.server.model_copy(update={"transport": arguments.transport})
         config = config.model_copy(update={"server": server})

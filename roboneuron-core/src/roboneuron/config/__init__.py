@@ -22,6 +22,7 @@ from roboneuron.config.reading import (
     feature_options,
     load_config,
     parse_config,
+    robot_folder,
     transport_feature,
 )
 
@@ -43,5 +44,6 @@ __all__ = [
     "feature_options",
     "load_config",
     "parse_config",
+    "robot_folder",
     "transport_feature",
 ]

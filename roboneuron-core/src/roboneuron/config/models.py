@@ -222,6 +222,8 @@ class Config(Section):
     plugins: dict[str, dict[str, Any]] = Field(default_factory=dict, description="options by plugin name")
     sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
     """Sections of features by top-level key, as in the file; modules are not told them."""
+    robots: dict[str, Config] = Field(default_factory=dict, exclude=True)
+    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest is what all share."""
 
     @property
     def namespace(self) -> str:

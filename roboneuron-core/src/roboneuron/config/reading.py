@@ -5,8 +5,10 @@ Sections that core does not know belong to features; they are checked against th
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ EMBEDDED_DEFAULT = "the embedded default"
 STDIO = "stdio"
 """The transport of core."""
 KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
-"""Top-level keys of core."""
+"""Top-level keys of core, but for `robots`."""
 
 
 def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Registry | None = None) -> Config:
@@ -44,6 +46,12 @@ def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Regist
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source} is not valid TOML: {error}.") from error
+    if "robots" in raw:
+        return _parse_robots(raw, source, registry)
+    return _parse_table(raw, source, registry)
+
+
+def _parse_table(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
     own = {key: value for key, value in raw.items() if key in KEYS}
     others = {key: value for key, value in raw.items() if key not in KEYS}
     try:
@@ -54,6 +62,45 @@ def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Regist
         config = config.model_copy(update={"sections": others})
         check_sections(config, registry or discover(config.disabled_plugins), source)
     return config
+
+
+def _parse_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
+    """Each `[robots.<name>]` with the tables that all share, as a configuration of its own."""
+    shared = {key: value for key, value in raw.items() if key != "robots"}
+    tables = raw["robots"]
+    if "robot" in shared:
+        raise ConfigurationError(f"{source}: either [robot] or [robots.<name>], not both.")
+    if not isinstance(tables, dict) or not tables:
+        raise ConfigurationError(f"{source}: robots = {tables!r}: expected tables [robots.<name>].")
+    disabled = shared.get("disabled_plugins", ())
+    registry = registry or discover(tuple(disabled) if isinstance(disabled, list) else ())
+    served = {key for spec in registry.specs(FeatureSpec).values() if spec.transports for key in spec.keys}
+    robots: dict[str, Config] = {}
+    for name, table in tables.items():
+        place = f"{source}, [robots.{name}]"
+        if not re.fullmatch(r"[a-z][a-z0-9_-]{0,31}", name):
+            raise ConfigurationError(f"{place}: a robot's name is made of a-z, 0-9, - and _, at most 32.")
+        if not isinstance(table, dict) or "robot" not in table:
+            raise ConfigurationError(f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.')
+        for key in sorted({"server", "disabled_plugins", "features", "robots", *served} & table.keys()):
+            raise ConfigurationError(f"{place}: {key!r} is shared by all robots: write it at the top level.")
+        robot = dict(table["robot"]) if isinstance(table["robot"], dict) else {"name": table["robot"]}
+        robot.setdefault("namespace", name.replace("-", "_"))
+        pairs = {key: (shared.get(key), table.get(key)) for key in ("plugins", "models")}
+        both = {key: {**a, **b} for key, (a, b) in pairs.items() if isinstance(a, dict) and isinstance(b, dict)}
+        robots[name] = one = _parse_table({**shared, **table, **both, "robot": robot}, place, registry)
+        if "supervisor" in table and one.supervisor.state_directory is not None:
+            raise ConfigurationError(f"{place}: 'state_directory' is shared: each robot has a folder of its own in it.")
+    namespaces = Counter(one.namespace for one in robots.values())
+    for namespace in (namespace for namespace, count in namespaces.items() if count > 1):
+        raise ConfigurationError(f"{source}: two robots have the namespace {namespace!r}.")
+    first = next(iter(robots.values())).robot.model_dump(exclude_none=True)
+    return _parse_table({**shared, "robot": first}, source, registry).model_copy(update={"robots": robots})
+
+
+def robot_folder(state_directory: Path, name: str = "*") -> Path:
+    """Where the logs, the latch and the audit of one of several robots are."""
+    return state_directory / "robots" / name
 
 
 def default_text() -> str:

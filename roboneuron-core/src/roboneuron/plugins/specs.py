@@ -240,6 +240,8 @@ class FeatureSpec(Spec):
         needs: names of features without which it does not work.
         on_join: "module:attribute" of a function without arguments that every module process calls once it has joined
             ROS; None for none. In the server, `start` is the place for that.
+        fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
+            and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
     """
 
     kind: ClassVar[str] = "feature"
@@ -249,6 +251,7 @@ class FeatureSpec(Spec):
     hooks: str | None = None
     needs: tuple[str, ...] = ()
     on_join: str | None = None
+    fleet: str | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import logging
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar, cast
+from functools import partial
 
 import anyio
 from anyio import to_thread
-from mcp import types
-from mcp.server import NotificationOptions, Server
-from mcp.server.context import ServerRequestContext
 
-from roboneuron import __version__
 from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError, StateError
+from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.access import holder_of, watching
 from roboneuron.server.diagnostics import HealthDiagnostics
-from roboneuron.server.emergency import SafetyReports
+from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
-from roboneuron.server.feature import Features
+from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
@@ -33,7 +26,8 @@ from roboneuron.server.motion.path import DirectPath
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
-from roboneuron.server.tool import Stage, UnfinishedCallError
+from roboneuron.server.sections import check_configuration
+from roboneuron.server.surface import make_server
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -55,7 +49,6 @@ def shorten_pauses() -> None:
 log = logging.getLogger(__name__)
 _STOP_S = 1.5
 """When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
-T = TypeVar("T")
 
 INSTRUCTIONS = """\
 RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
@@ -65,95 +58,27 @@ interfaces directly; while a policy runs, it alone moves the robot. emergency_st
 ends all."""
 
 
-class AnnouncingServer(Server[Any]):
-    """Announces the same on every transport: over HTTP the SDK asks for no options.
+class Application:
+    """Everything `roboneuron serve` consists of for one robot; `close` ends all of it.
 
-    Attributes:
-        announced: of which changes clients are told while they are connected; set by the feature that tells them.
+    Args:
+        config: of the robot.
+        plugins, supervisor: others than usual.
+        attached: clients come to `server`; not so for one of several robots.
     """
 
-    announced = NotificationOptions()
-
-    def create_initialization_options(
-        self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
-    ) -> Any:
-        """See Server."""
-        return super().create_initialization_options(notification_options or self.announced, *arguments, **named)
-
-
-class RequestContext:
-    """CallContext of one request: work on threads, progress to the client."""
+    resources: Resources
 
     def __init__(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, features: Features
-    ) -> None:
-        self._request = request
-        self._params = params
-        self._features = features
-        holder = holder_of(request.request)
-        self.who = holder.who
-        self.role = holder.role
-        client = request.session.client_params if holder.client.startswith("pid") else None
-        if client is not None:  # several clients in one process may be told apart by what they call themselves
-            self.who += f" ({''.join(c for c in client.client_info.name[:40] if c.isascii() and c.isalnum())})"
-
-    async def run(
         self,
-        work: Callable[[Stage], T],
+        config: Config,
         *,
-        on_cancel: Callable[[], object] = lambda: None,
-        on_leave: Callable[[], object] | None = None,
-    ) -> T:
-        """See `CallContext.run`."""
-        with watching(self._request.request, on_leave):
-            return await self._run(work, on_cancel)
-
-    async def ask(self, question: str) -> bool | None:
-        """See `CallContext.ask`."""
-        return await self._features.ask(self._request, self._params, question)
-
-    async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
-        loop = asyncio.get_running_loop()
-        send, receive = anyio.create_memory_object_stream[str](64)
-        failure: Exception | None = None
-        result: list[T] = []
-
-        def put(text: str) -> None:
-            with suppress(anyio.WouldBlock, anyio.ClosedResourceError, anyio.BrokenResourceError):
-                send.send_nowait(text)
-
-        def stage(text: str) -> None:
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(put, text)
-
-        async def forward() -> None:
-            with receive:
-                step = 0
-                async for text in receive:
-                    step += 1
-                    await self._request.session.report_progress(step, message=text)
-
-        async with anyio.create_task_group() as group:
-            group.start_soon(forward)
-            try:
-                thread = anyio.CapacityLimiter(1)  # of its own: a stop never waits for threads of other calls
-                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True, limiter=thread))
-            except anyio.get_cancelled_exc_class():
-                on_cancel()
-                raise
-            except Exception as error:  # raised again below, outside of the task group that would wrap it
-                failure = error
-            finally:
-                send.close()
-        if failure is not None:
-            raise failure
-        return result[0]
-
-
-class Application:
-    """Everything `roboneuron serve` consists of; `close` ends all of it."""
-
-    def __init__(self, config: Config, *, plugins: PluginCatalogue | None = None, supervisor: Supervisor | None = None):
+        plugins: PluginCatalogue | None = None,
+        supervisor: Supervisor | None = None,
+        attached: bool = True,
+    ) -> None:
+        if config.robots:
+            raise ConfigurationError("This works with one robot; the configuration has [robots.<name>].")
         self.started_s = time.monotonic()
         self._is_joining = False
         self._joining = anyio.Lock()
@@ -185,7 +110,7 @@ class Application:
             on_call=self.events.call.tell,
             on_change=self.events.tools.tell,
         )
-        self.server = self._build(config.server.name)
+        self.server = make_server(self, config.server.name, INSTRUCTIONS)
         self.host = Host(
             loop=self.loop,
             supervisor=self.supervisor,
@@ -203,6 +128,22 @@ class Application:
         offered = self.features.offer(self.host, self.tools)
         self.direct.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
+        if attached:
+            self.features.attach(self.host)
+
+    def check(self) -> None:
+        """Check the configuration against what is installed. Raises ConfigurationError, PlanningError."""
+        check_configuration(self.loop.base, self.plugins.current())
+        self.features.check()
+
+    def listen(self) -> Transport | None:
+        """Begin to listen for clients; None for stdio."""
+        return self.features.listen(self.host)
+
+    def press_on_signal(self) -> None:
+        """From now on SIGUSR1 latches the emergency stop; called on the main thread."""
+        stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
+        press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
@@ -252,34 +193,3 @@ class Application:
                 self.direct.allow_list.refresh()
             except RoboNeuronError as error:
                 log.error("What the robot offers cannot be exposed: %s", error)
-
-    def _build(self, name: str) -> AnnouncingServer:
-        async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
-            return types.ListToolsResult(tools=self.tools.listing(holder_of(context.request).role))
-
-        async def call_tool(
-            context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
-        ) -> types.CallToolResult | types.InputRequiredResult:
-            try:
-                made = RequestContext(context, params, self.features)
-                return await self.tools.call(params.name, params.arguments or {}, made)
-            except UnfinishedCallError as question:
-                return cast(types.InputRequiredResult, question.result)
-
-        async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
-            return types.ListResourcesResult(resources=self.resources.listing())
-
-        async def read_resource(
-            _: ServerRequestContext[Any, Any], params: types.ReadResourceRequestParams
-        ) -> types.ReadResourceResult:
-            return types.ReadResourceResult(contents=[self.resources.read(str(params.uri))])
-
-        return AnnouncingServer(
-            name,
-            version=__version__,
-            instructions=INSTRUCTIONS,
-            on_list_tools=list_tools,
-            on_call_tool=call_tool,
-            on_list_resources=list_resources,
-            on_read_resource=read_resource,
-        )

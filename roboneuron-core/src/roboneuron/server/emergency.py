@@ -29,8 +29,28 @@ from roboneuron.supervisor.supervisor import Supervisor
 log = logging.getLogger(__name__)
 _ROUNDS = 3
 """Of the executor: what was published before the first has been delivered after the last."""
+SIGNAL = "the signal SIGUSR1"
 CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period."""
+
+
+def press_on_signal(latch: Callable[[], object]) -> None:
+    """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread."""
+
+    signals: SimpleQueue[int] = SimpleQueue()
+
+    def press() -> None:
+        """On a thread of its own: the interrupted one may hold any lock."""
+        while signals.get():
+            while not signals.empty():  # pressed twice is pressed
+                signals.get()
+            try:
+                latch()
+            except (UnsafeError, NotReadyError) as error:
+                log.error("%s", error)
+
+    threading.Thread(target=press, name="emergency-stop", daemon=True).start()
+    signal.signal(signal.SIGUSR1, lambda number, _: signals.put(number))  # may interrupt itself
 
 
 def reset_command(state_directory: Path) -> str:
@@ -100,24 +120,6 @@ class EmergencyStop:
                 self._latch.press(who=f"a node on the topic {topic}", reason="received by the server")
             except UnsafeError as error:
                 log.error("%s", error)
-
-    def press_on_signal(self, namespace: str) -> None:
-        """From now on SIGUSR1 latches the stop; called on the main thread."""
-
-        signals: SimpleQueue[int] = SimpleQueue()
-
-        def press() -> None:
-            """On a thread of its own: the interrupted one may hold any lock."""
-            while signals.get():
-                while not signals.empty():  # pressed twice is pressed
-                    signals.get()
-                try:
-                    self.latch(namespace, who="the signal SIGUSR1", reason="")
-                except (UnsafeError, NotReadyError) as error:
-                    log.error("%s", error)
-
-        threading.Thread(target=press, name="emergency-stop", daemon=True).start()
-        signal.signal(signal.SIGUSR1, lambda number, _: signals.put(number))  # may interrupt itself
 
     def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.

@@ -49,6 +49,8 @@ class Events:
         decision: the gate or the emergency stop of this process wrote a record; on the thread that asked.
         call: a tool was called and answered; its name, the arguments as sent, the client, the code of the error (empty
             when it succeeded), and how long it took [s].
+        client: a client of several robots made a call of one of them (True), or a client has left (False).
+        presence: a client has opened (1) or closed (-1) a request or a stream.
     """
 
     def __init__(self) -> None:
@@ -62,3 +64,5 @@ class Events:
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
         self.decision: Event[[AuditRecord]] = Event()
         self.call: Event[[str, Mapping[str, Any], str, str, float]] = Event()
+        self.client: Event[[str, bool]] = Event()
+        self.presence: Event[[str, int]] = Event()

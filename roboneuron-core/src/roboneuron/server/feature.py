@@ -78,6 +78,13 @@ class Feature(Generic[OptionsT]):
         """Resources for the agent. Called once, after `tools`."""
         return ()
 
+    def attach(self, host: Host) -> None:
+        """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions.
+
+        Called once, after `tools`. A server of several robots calls it for the first one only, with a host whose
+        `server`, `events` and `check_resource` are those of all.
+        """
+
     def start(self, host: Host) -> None:
         """Begin to work: threads, subscriptions. Called once, when the server begins to serve; must return quickly.
 
@@ -174,6 +181,11 @@ class Features:
             if spec.name in self.failed:
                 tools.replace_derived(spec.name, ())
         return resources
+
+    def attach(self, host: Host) -> None:
+        """Have every feature add to the MCP server what clients get besides tools and resources."""
+        for spec, feature in self._all():
+            self._attempt(spec, "attached", partial(feature.attach, host))
 
     def start(self, host: Host) -> None:
         """Start every feature."""

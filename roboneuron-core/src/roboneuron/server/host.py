@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
     from roboneuron.plugins.registry import Registry
-    from roboneuron.server.app import AnnouncingServer
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
     from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
+    from roboneuron.server.surface import AnnouncingServer
     from roboneuron.supervisor.supervisor import Supervisor
 
 

@@ -152,13 +152,13 @@ class ToolRegistry:
             answer = await self._carry_out(tool, arguments, context)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", _short(name), error.code, _clipped(str(error)))
-            return _failure(error)
+            return failure(error)
         except UnfinishedCallError:
             raise
         except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
             incident = uuid.uuid4().hex[:8]
             log.exception("%s failed (incident %s)", name, incident)
-            return _failure(
+            return failure(
                 InternalError(
                     f"{name} failed unexpectedly (incident {incident}).",
                     hint="The server's log has the details; get_status tells what is running.",
@@ -232,7 +232,8 @@ def _clipped(text: str) -> str:
     return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 100]} ... {text[-80:]}"
 
 
-def _failure(error: RoboNeuronError) -> types.CallToolResult:
+def failure(error: RoboNeuronError) -> types.CallToolResult:
+    """The answer to a call that failed."""
     details = {"code": error.code, "message": _clipped(error.message), "hint": _clipped(error.hint)}
     if isinstance(error, InvalidInputError) and error.path:
         details["path"] = error.path[:_MOST_TEXT]

@@ -5,16 +5,25 @@ from __future__ import annotations
 import logging
 import os
 import signal
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from typing import cast
 
 import anyio
 
 from roboneuron import __version__
 from roboneuron.config import Config
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.ros.environment import state_directory
 from roboneuron.server.app import Application
 from roboneuron.server.feature import Transport
-from roboneuron.server.sections import check_configuration
 from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
+from roboneuron.server.surface import AnnouncingServer, Served
 
 log = logging.getLogger(__name__)
 _END_S = 20.0
@@ -29,6 +38,23 @@ def _end_soon() -> None:
     signal.setitimer(signal.ITIMER_REAL, _END_S)
 
 
+def make_served(config: Config) -> Served:
+    """What serves a configuration: of one robot an Application, of several what a feature brings.
+
+    Raises:
+        ConfigurationError: no feature serves several robots.
+    """
+    if not config.robots:
+        return Application(config)
+    for spec in discover(config.disabled_plugins).specs(FeatureSpec).values():
+        if spec.fleet is not None:
+            make = cast(Callable[[Config, Path], Served], load_attribute(spec.fleet, f"feature {spec.name!r}"))
+            return make(config, state_directory(config.supervisor.state_directory))
+    package = package_of("feature", "fleet")
+    hint = f"Run: {install_command(package)}." if package is not None else ""
+    raise ConfigurationError("No installed feature serves several robots, [robots.<name>].", hint=hint)
+
+
 def serve(config: Config, wire: tuple[int, int]) -> None:
     """Serve clients until they leave for good, or SIGTERM or SIGINT comes; then stop everything.
 
@@ -40,20 +66,19 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
         ConfigurationError, PlanningError: the configuration names what is not installed or does not fit, or the
             transport cannot be served (an address in use, a token that is missing).
     """
-    application = Application(config)
+    served = make_served(config)
     try:
-        check_configuration(config, application.plugins.current())
-        application.features.check()
-        transport = application.features.listen(application.host) or partial(_serve_stdio, application, wire)
-        application.loop.emergency_stop.press_on_signal(config.namespace)
-        application.open()
-        anyio.run(_serve, application, transport)
+        served.check()
+        transport = served.listen() or partial(_serve_stdio, served.server, config.server.max_concurrent_calls, wire)
+        served.press_on_signal()
+        served.open()
+        anyio.run(_serve, served, transport)
     finally:
         _end_soon()
-        application.close()
+        served.close()
 
 
-async def _serve(application: Application, transport: Transport) -> None:
+async def _serve(served: Served, transport: Transport) -> None:
     leave = anyio.Event()
 
     async def leave_on_signal() -> None:
@@ -65,17 +90,15 @@ async def _serve(application: Application, transport: Transport) -> None:
 
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal)
-        group.start_soon(application.settle)
+        group.start_soon(served.settle)
         await transport(leave)
         group.cancel_scope.cancel()
 
 
-async def _serve_stdio(application: Application, wire: tuple[int, int], leave: anyio.Event) -> None:
+async def _serve_stdio(server: AnnouncingServer, most_calls: int, wire: tuple[int, int], leave: anyio.Event) -> None:
     """Serve one client until it leaves."""
     writer = LineWriter(wire[1])
-    reader = MessageReader(
-        wire[0], writer.write, 2 * application.loop.config.server.max_concurrent_calls + 64, _end_soon
-    )
+    reader = MessageReader(wire[0], writer.write, 2 * most_calls + 64, _end_soon)
     writer.start()
 
     async def end(scope: anyio.CancelScope) -> None:
@@ -84,7 +107,6 @@ async def _serve_stdio(application: Application, wire: tuple[int, int], leave: a
 
     async with anyio.create_task_group() as group:
         group.start_soon(end, group.cancel_scope)
-        server = application.server
         reader.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
         await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())

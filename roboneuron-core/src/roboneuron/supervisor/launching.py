@@ -35,7 +35,11 @@ _OPEN_TIMEOUT_S = 30.0
 
 
 class Connection:
-    """Opens the link once, on a thread of its own; `link` waits for it."""
+    """Opens the link once, on a thread of its own; `link` waits for it.
+
+    Attributes:
+        starts: numbers the module processes of one node, for ports of their own.
+    """
 
     def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
         self._on_status = on_status
@@ -43,6 +47,7 @@ class Connection:
         self._lock = threading.Lock()
         self._opened: Future[RosLink] | None = None
         self._closed = False
+        self.starts = itertools.count(os.getpid())
 
     def begin(self) -> None:
         """Start opening; returns at once, and does nothing the second time."""
@@ -97,6 +102,7 @@ class Connection:
 log = logging.getLogger(__name__)
 Stage = Callable[[str], None]
 Command = Callable[[str | None], Sequence[str]]
+Connect = Callable[[Callable[[Any], None], Path], Connection]
 DEACTIVATE_S = 2.0
 _BEAT_S = 0.2
 """A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody could stop the arm,
@@ -114,6 +120,7 @@ class Launcher:
     Args:
         state_directory, command, on_change: as `Supervisor`.
         processes: all that are in slots.
+        connect: makes the server's node from what receives /diagnostics and the folder for its logs.
 
     Attributes:
         log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
@@ -129,18 +136,18 @@ class Launcher:
         command: Command,
         on_change: Callable[[ModuleKind], object],
         processes: Callable[[], Iterable[ModuleProcess]],
+        connect: Connect = Connection,
     ) -> None:
         self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self.observers = ProcessObservers()
         self.secret_variables: set[str] = set()
         self.board = StatusBoard(changes)
-        self.connection = Connection(self.board.receive, self.log_directory)
+        self.connection = connect(self.board.receive, self.log_directory)
         self._changes = changes
         self._processes = processes
         self._command = command
         self._on_change = on_change
         self._spawner = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
-        self._starts = itertools.count(os.getpid())
         self._heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
 
     def close(self) -> None:
@@ -203,7 +210,7 @@ class Launcher:
                 spawn,
                 settings.node_name,
                 command,
-                module_environment(python, next(self._starts), self.secret_variables),
+                module_environment(python, next(self.connection.starts), self.secret_variables),
                 told.model_dump_json(),
                 self.log_directory / f"{settings.node_name}.log",
                 self.observers,

@@ -16,7 +16,7 @@ from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
-from roboneuron.supervisor.launching import Command, Launcher, Stage, module_command
+from roboneuron.supervisor.launching import Command, Connect, Connection, Launcher, Stage, module_command
 from roboneuron.supervisor.lifecycle import ParameterClient
 from roboneuron.supervisor.process import KILL_S, ModuleProcess
 from roboneuron.supervisor.slot import Choice, Claim, Slot
@@ -39,6 +39,7 @@ class Supervisor:
         state_directory: logs go to its `log` folder, and modules are told it.
         command: how to start a module under a given interpreter.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by itself.
+        connect: as `Launcher`.
 
     Attributes:
         observers: told of every module process.
@@ -55,12 +56,13 @@ class Supervisor:
         *,
         command: Command = module_command,
         on_change: Callable[[ModuleKind], object] = _ignore,
+        connect: Connect = Connection,
     ) -> None:
         self.state_directory = state_directory
         self.changes = Changes()
         self.on_join: tuple[str, ...] = ()
         self.handover: str | None = None
-        self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes)
+        self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes, connect)
         self.log_directory = self._launcher.log_directory
         self.observers = self._launcher.observers
         self.secret_variables = self._launcher.secret_variables

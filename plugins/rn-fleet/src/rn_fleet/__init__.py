@@ -1,0 +1,1 @@
+"""Several robots behind one MCP server."""

@@ -1,0 +1,114 @@
+"""The tools of all robots under one list: a call names the robot, and goes to that robot's own registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mcp import types
+
+from rn_fleet.schemas import merged_tool
+from roboneuron.errors import InvalidInputError, RoboNeuronError, nearest
+from roboneuron.gate.request import ADMIN
+from roboneuron.server.registry import ToolRegistry, failure
+from roboneuron.server.tool import CallContext, Stage, Tool
+
+if TYPE_CHECKING:
+    from roboneuron.server.app import Application
+
+T = TypeVar("T")
+
+
+class RobotContext:
+    """CallContext of a call to one of several robots: a person who is asked is told which.
+
+    Args:
+        context: of the request.
+        robot: the robot's name.
+    """
+
+    def __init__(self, context: CallContext, robot: str) -> None:
+        self._context = context
+        self._robot = robot
+        self.who = context.who
+        self.role = context.role
+
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        """See CallContext."""
+        return await self._context.run(work, on_cancel=on_cancel, on_leave=on_leave)
+
+    async def ask(self, question: str) -> bool | None:
+        """See CallContext."""
+        return await self._context.ask(f"Robot {self._robot}: {question}")
+
+
+class FleetTools(ToolRegistry):
+    """Lists the tools of all robots, and hands each call on.
+
+    Args:
+        robots: by name.
+        own: tools of the whole fleet. One of a robot's name is called when no robot of the fleet is named.
+        on_client: told of the client of each call.
+    """
+
+    def __init__(
+        self, robots: Mapping[str, Application], own: list[Tool[Any]], on_client: Callable[[str], object]
+    ) -> None:
+        super().__init__(own)
+        self._robots = robots
+        self._on_client = on_client
+
+    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+        """What `tools/list` answers to clients of a role."""
+        by_name: dict[str, dict[str, types.Tool]] = {}
+        for name, robot in self._robots.items():
+            for tool in robot.tools.listing(role):
+                by_name.setdefault(tool.name, {})[name] = tool
+        namespaces = {name: robot.loop.config.namespace for name, robot in self._robots.items()}
+        shared = [
+            merged_tool(shown, namespaces, required=len(self._robots) > 1)
+            for name, shown in by_name.items()
+            if self.get(name) is None
+        ]
+        return [*super().listing(role), *shared]
+
+    async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
+        """Have the named robot do it; every failure is an MCP error result."""
+        self._on_client(context.who)
+        robot = arguments.get("robot")
+        is_known = isinstance(robot, str) and robot in self._robots
+        if self.get(name) is not None and not is_known:
+            return await super().call(name, arguments, context)
+        try:
+            chosen = self._choose(name, robot)
+        except RoboNeuronError as error:
+            return failure(error)
+        rest = {key: value for key, value in arguments.items() if key != "robot"}
+        return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
+
+    def _choose(self, tool: str, robot: object) -> str:
+        """The robot that a call means.
+
+        Raises:
+            InvalidInputError: no robot has the tool, or none or another one is named; lists the choices.
+        """
+        having = [name for name, one in self._robots.items() if one.tools.get(tool) is not None]
+        if not having:
+            raise InvalidInputError(f"There is no tool {tool[:80]!r}.", hint="See tools/list.", path="tool")
+        choices = f"Choose one of: {', '.join(having)}."
+        if robot is None:
+            if len(self._robots) > 1:
+                raise InvalidInputError(f"{tool} needs `robot`, which robot is meant.", hint=choices, path="robot")
+            return having[0]
+        if not isinstance(robot, str) or robot not in self._robots:
+            meant = nearest(str(robot)[:80], having, choices)
+            raise InvalidInputError(f"There is no robot {str(robot)[:80]!r}.", hint=meant, path="robot")
+        if robot not in having:
+            raise InvalidInputError(f"The robot {robot!r} has no tool {tool}.", hint=choices, path="robot")
+        return robot

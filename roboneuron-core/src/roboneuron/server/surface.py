@@ -1,0 +1,161 @@
+"""What clients meet: the MCP server in front of tools and resources, and the context of each of their calls."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Protocol, TypeVar, cast
+
+import anyio
+from anyio import to_thread
+from mcp import types
+from mcp.server import NotificationOptions, Server
+from mcp.server.context import ServerRequestContext
+
+from roboneuron import __version__
+from roboneuron.server.access import holder_of, watching
+from roboneuron.server.feature import Features, Transport
+from roboneuron.server.registry import ToolRegistry
+from roboneuron.server.resources import Resources
+from roboneuron.server.tool import Stage, UnfinishedCallError
+
+T = TypeVar("T")
+
+
+class AnnouncingServer(Server[Any]):
+    """Announces the same on every transport: over HTTP the SDK asks for no options.
+
+    Attributes:
+        announced: of which changes clients are told while they are connected; set by the feature that tells them.
+    """
+
+    announced = NotificationOptions()
+
+    def create_initialization_options(
+        self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
+    ) -> Any:
+        """See Server."""
+        return super().create_initialization_options(notification_options or self.announced, *arguments, **named)
+
+
+class Served(Protocol):
+    """What `serve` serves: an Application, or several behind one surface; the members mean the same."""
+
+    @property
+    def tools(self) -> ToolRegistry: ...
+    @property
+    def resources(self) -> Resources: ...
+    @property
+    def features(self) -> Features: ...
+    @property
+    def server(self) -> AnnouncingServer: ...
+    def check(self) -> None: ...
+    def listen(self) -> Transport | None: ...
+    def press_on_signal(self) -> None: ...
+    def open(self) -> None: ...
+    async def settle(self) -> None: ...
+    def close(self) -> None: ...
+
+
+def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServer:
+    """The MCP server in front of tools and resources; they are asked with each request."""
+
+    async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+        return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
+
+    async def call_tool(
+        context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
+    ) -> types.CallToolResult | types.InputRequiredResult:
+        try:
+            made = RequestContext(context, params, surface.features)
+            return await surface.tools.call(params.name, params.arguments or {}, made)
+        except UnfinishedCallError as question:
+            return cast(types.InputRequiredResult, question.result)
+
+    async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
+        return types.ListResourcesResult(resources=surface.resources.listing())
+
+    async def read_resource(
+        _: ServerRequestContext[Any, Any], params: types.ReadResourceRequestParams
+    ) -> types.ReadResourceResult:
+        return types.ReadResourceResult(contents=[surface.resources.read(str(params.uri))])
+
+    return AnnouncingServer(
+        name,
+        version=__version__,
+        instructions=instructions,
+        on_list_tools=list_tools,
+        on_call_tool=call_tool,
+        on_list_resources=list_resources,
+        on_read_resource=read_resource,
+    )
+
+
+class RequestContext:
+    """CallContext of one request: work on threads, progress to the client."""
+
+    def __init__(
+        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, features: Features
+    ) -> None:
+        self._request = request
+        self._params = params
+        self._features = features
+        holder = holder_of(request.request)
+        self.who = holder.who
+        self.role = holder.role
+        client = request.session.client_params if holder.client.startswith("pid") else None
+        if client is not None:  # several clients in one process may be told apart by what they call themselves
+            self.who += f" ({''.join(c for c in client.client_info.name[:40] if c.isascii() and c.isalnum())})"
+
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        """See `CallContext.run`."""
+        with watching(self._request.request, on_leave):
+            return await self._run(work, on_cancel)
+
+    async def ask(self, question: str) -> bool | None:
+        """See `CallContext.ask`."""
+        return await self._features.ask(self._request, self._params, question)
+
+    async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
+        loop = asyncio.get_running_loop()
+        send, receive = anyio.create_memory_object_stream[str](64)
+        failure: Exception | None = None
+        result: list[T] = []
+
+        def put(text: str) -> None:
+            with suppress(anyio.WouldBlock, anyio.ClosedResourceError, anyio.BrokenResourceError):
+                send.send_nowait(text)
+
+        def stage(text: str) -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(put, text)
+
+        async def forward() -> None:
+            with receive:
+                step = 0
+                async for text in receive:
+                    step += 1
+                    await self._request.session.report_progress(step, message=text)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(forward)
+            try:
+                thread = anyio.CapacityLimiter(1)  # of its own: a stop never waits for threads of other calls
+                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True, limiter=thread))
+            except anyio.get_cancelled_exc_class():
+                on_cancel()
+                raise
+            except Exception as error:  # raised again below, outside of the task group that would wrap it
+                failure = error
+            finally:
+                send.close()
+        if failure is not None:
+            raise failure
+        return result[0]
