@@ -240,6 +240,8 @@ class FeatureSpec(Spec):
         needs: names of features without which it does not work.
         on_join: "module:attribute" of a function without arguments that every module process calls once it has joined
             ROS; None for none. In the server, `start` is the place for that.
+        switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`, NAME being the
+            feature's, sets it to true. None for no such flag.
     """
 
     kind: ClassVar[str] = "feature"
@@ -249,6 +251,7 @@ class FeatureSpec(Spec):
     hooks: str | None = None
     needs: tuple[str, ...] = ()
     on_join: str | None = None
+    switch: str | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:
