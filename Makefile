@@ -253,5 +253,5 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers mujoco franky-control playwright)
+	  ros-jazzy-test-msgs transformers mujoco franky-control playwright rosbags)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases

@@ -1,150 +1,142 @@
-"""Take the pictures of docs/view.md: one episode of the servo policy, stepped at the page's own pace.
+"""Take the pictures of docs/view.md: a server with the simulated FR3, a client that calls its tools, and a browser.
 
     .venv/bin/python tools/view_screenshots.py docs/assets
 
-Simulation, policy, controller and limits are those of `roboneuron eval`; only the processes between them are left
-out, so that a machine that draws the page with its processor shows the same as one that does not.
+Nothing is staged: the pictures show what a person would see, the calls are those of the client, and the third one plays
+the recording that was made meanwhile. A machine that draws the page with its processor shows lower rates than others.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
-import time
+import tempfile
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-from geometry_msgs.msg import Point, PoseStamped, Quaternion
-from playwright.sync_api import Browser, sync_playwright
-from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Float64MultiArray
+import anyio
+from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "plugins" / "rn-view" / "tests"))
+from rn_console.client import spawned_server
+from rn_runs.store import Store
+from rn_serve_http.options import HttpOptions
+from rn_serve_http.tokens import TokenTable
+from rn_testing.domain import free_ros_domain
+from rn_view.access import Admission, host_rules
+from rn_view.options import ViewOptions
+from rn_view.viewer import Viewer
+from rn_view_recorded.source import RecordedSource
+from roboneuron.config import load_config
+from roboneuron.plugins.discovery import discover
 
-from view_fakes import FakeOperator, FakeSource, admission  # noqa: E402
-
-from rn_eval.plan import EvalPlan  # noqa: E402
-from rn_eval.policy import load_backend  # noqa: E402
-from rn_eval.runner import Runner  # noqa: E402
-from rn_view.options import ViewOptions  # noqa: E402
-from rn_view.source import ModuleRow, Snapshot  # noqa: E402
-from rn_view.viewer import Viewer  # noqa: E402
-from roboneuron.config import load_config  # noqa: E402
-from roboneuron.plugins.discovery import discover  # noqa: E402
-
-SEED, PLAY_S, ACTION_S = 10_002, 5.0, 0.1
+INSTRUCTION, SEED, PORT = "pick up the red cube", 7, 8781
+CONFIG = f"""
+[robot]
+name = "fr3"
+driver = "simulated"
+[perception]
+source = "fr3-sim-camera"
+[inference]
+backend = "servo"
+[control]
+controller = "urdf"
+[supervisor]
+state_directory = "{{state}}"
+[recorder]
+record = true
+[view]
+enabled = true
+port = {PORT}
+[plugins.fr3]
+seed = {SEED}
+"""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+MOST_MS = 300_000
 
 
-class Episode(FakeSource):
-    """A source that an episode feeds, as the topics of the robot would."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        plan = EvalPlan(config=load_config(None).model_dump(mode="json"), suite="cubes", backend="servo", episodes=1)
-        runner = Runner(plan)
-        self.setup = runner._setup
-        self.episode = runner._suite.episodes(1, SEED)[0]
-        self.scene = runner._suite.open(self.episode, self.setup)
-        self.policy = load_backend(plan, discover(), "")
-        self.took_ms: list[float] = []
-        self.last: list[tuple[str, object]] = []
-        self.happenings.add("tool", "start_robot(): done, 2.05 s")
-        for kind in ("perception", "control", "inference"):
-            self.happenings.add("tool", f"start_{kind}(): done")
-        self.happenings.add("tool", f'set_instruction(instruction="{self.episode.instruction}"): done')
-
-    def config(self):
-        return self.setup.config
-
-    def profile(self):
-        return self.setup.profile
-
-    def snapshot(self) -> Snapshot:
-        took = float(np.median(self.took_ms)) if self.took_ms else None
-        rows = (
-            ModuleRow(kind="robot", health="ok", chosen="fr3"),
-            ModuleRow(kind="perception", health="ok", chosen="fr3-sim-camera", rate_hz=1.0 / ACTION_S),
-            ModuleRow(kind="inference", health="ok", chosen="servo", rate_hz=1.0 / ACTION_S, latency_ms=took),
-            ModuleRow(kind="control", health="ok", chosen="urdf", rate_hz=1.0 / ACTION_S),
-        )
-        return Snapshot(modules=rows, instruction=self.episode.instruction)
-
-    def play(self) -> None:
-        """Step the episode, and tell the page after each action."""
-        ticks = round(ACTION_S / self.scene.tick_s)
-        for step in range(round(PLAY_S / ACTION_S)):
-            now_s = step * ACTION_S
-            observation = self.scene.observe(round(now_s * 1e9) + 1)
-            begun_s = time.monotonic()
-            action = self.policy.predict(observation).actions[0]
-            self.took_ms.append((time.monotonic() - begun_s) * 1e3)
-            self.scene.act(np.asarray(action, dtype=np.float64), now_s)
-            for _ in range(3):
-                self.scene.advance(ticks // 3)
-                self._tell(observation, action)
-                time.sleep(ACTION_S / 3)
-
-    def repeat(self) -> None:
-        """Tell the last of everything again, for a page that has come since."""
-        for topic, message in self.last:
-            self.send(topic, message)
-
-    def _tell(self, observation, action) -> None:
-        sample = self.scene._joints(0)
-        pose = self.setup.controller.forward(sample)
-        x, y, z, w = map(float, pose.quaternion_xyzw)
-        tcp = PoseStamped()
-        tcp.pose.position = Point(**dict(zip("xyz", map(float, pose.position_m), strict=True)))
-        tcp.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-        self.last = [
-            ("joint_states", JointState(name=list(sample.names), position=[float(v) for v in sample.position])),
-            ("ee_pose", tcp),
-            ("action", Float64MultiArray(data=[float(v) for v in action])),
-        ]
-        for frame in observation.frames.values():
-            height, width = frame.image.shape[:2]
-            message = Image(width=width, height=height, step=3 * width, encoding="rgb8", data=frame.image.tobytes())
-            self.last.append((f"camera/{frame.camera}/image", message))
-        self.repeat()
+async def look(browser: Browser, url: str, *, width: int, height: int) -> Page:
+    """Open the page and wait until it shows everything."""
+    page = await browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(MOST_MS)
+    await page.goto(url)
+    await page.get_by_text("Instruction:").wait_for()
+    return page
 
 
-def shoot(browser: Browser, episode: Episode, url: str, path: Path, *, width: int, height: int, play: bool) -> None:
-    """One picture of the page."""
-    page = browser.new_context(viewport={"width": width, "height": height}).new_page()
-    page.set_default_timeout(300_000)
-    page.goto(url)
-    page.get_by_text("Instruction:").wait_for()
-    if play:
-        episode.play()
-    deadline_s = time.monotonic() + 30.0
-    while time.monotonic() < deadline_s:
-        episode.repeat()
-        notices = page.locator(".mantine-Notification-closeButton")
-        if notices.count():
-            notices.first.click(force=True)
-        page.wait_for_timeout(1000)
-    page.screenshot(path=path, type="jpeg", quality=82)
-    page.context.close()
+async def shoot(page: Page, path: Path) -> None:
+    """Take a picture, without the browser's notice that it has no graphics card."""
+    notice = page.locator(".mantine-Notification-closeButton")
+    with suppress(TimeoutError):
+        await notice.first.click(force=True, timeout=20_000)
+    await anyio.sleep(2.0)  # it fades
+    await page.screenshot(path=path, type="jpeg", quality=82)
+    print(path, flush=True)
 
 
-def main() -> int:
-    """Take both pictures."""
-    folder = Path(sys.argv[1])
-    episode = Episode()
-    options = ViewOptions(enabled=True, port=0)
-    viewer = Viewer(options, episode, admission(options), FakeOperator())
+async def live(folder: Path, state: Path, browser: Browser) -> None:
+    """An agent's calls, and two pages that look on."""
+    config = state / "roboneuron.toml"
+    config.write_text(CONFIG.format(state=state), encoding="utf-8")
+    async with spawned_server(["--config", str(config), "--log-level", "error"], state / "server.log") as client:
+
+        async def call(tool: str, **arguments: Any) -> dict[str, Any]:
+            answer = await client.call_tool(tool, arguments)
+            print(tool, "failed" if answer.is_error else "done", flush=True)
+            return dict(answer.structured_content or {})
+
+        for kind in ("robot", "perception", "control"):
+            await call(f"start_{kind}")
+        wide = await look(browser, f"http://127.0.0.1:{PORT}", width=1280, height=760)
+        await anyio.sleep(3.0)
+        await call("start_inference", instruction=INSTRUCTION)
+        for _ in range(30):  # until it works as on a machine that has the time
+            modules = (await call("get_status"))["modules"]
+            if all(module["health"] == "ok" for module in modules):
+                break
+            await anyio.sleep(2.0)
+        await anyio.sleep(1.0)
+        await shoot(wide, folder / "view-live.jpg")
+        await wide.close()
+        phone = await look(browser, f"http://127.0.0.1:{PORT}", width=412, height=840)
+        await anyio.sleep(4.0)
+        await shoot(phone, folder / "view-phone.jpg")
+        await phone.close()
+        await call("stop_all")
+
+
+async def recorded(folder: Path, state: Path, browser: Browser) -> None:
+    """The recording of that."""
+    store = Store(state / "runs")
+    run = next(run for run in store.runs() if run.kind == "recording")
+    source = RecordedSource(run.id, run.files, load_config(None), discover())
+    options = ViewOptions(port=0)
+    viewer = Viewer(options, source, Admission(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())), None)
     viewer.open()
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        shoot(browser, episode, viewer.url, folder / "view-live.jpg", width=1280, height=760, play=True)
-        shoot(browser, episode, viewer.url, folder / "view-phone.jpg", width=412, height=840, play=False)
-        browser.close()
-    viewer.close()
-    episode.scene.close()
-    return 0
+    source.open()
+    try:
+        page = await look(browser, viewer.url, width=1280, height=760)
+        begun = next(mark for mark in source.playback.marks if mark.text.startswith("start_inference"))
+        source.playback.seek(begun.at_s + 3.5)
+        await anyio.sleep(8.0)
+        await shoot(page, folder / "view-recording.jpg")
+    finally:
+        source.close()
+        viewer.close()
+
+
+async def main() -> None:
+    """Take all three pictures."""
+    os.environ.update(ROS_DOMAIN_ID=str(free_ros_domain()), ROBONEURON_RECORDER="on")
+    folder = Path(sys.argv[1])
+    with tempfile.TemporaryDirectory() as name:
+        async with async_playwright() as playwright:
+            browser = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+            await live(folder, Path(name), browser)
+            await recorded(folder, Path(name), browser)
+            await browser.close()
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    anyio.run(main)

@@ -49,6 +49,10 @@ def test_a_recording_is_watched_with_slider_and_buttons(recorded, look):
     wait_until(lambda: abs(page.evaluate(PIXEL) - shade(12)) <= 3)
     page.get_by_text("pull", exact=True).wait_for()
 
+    beside = look(viewer.url, "monday")  # a page that comes while it is paused sees the same
+    wait_until(lambda: abs(beside.evaluate(PIXEL) - shade(12)) <= 3)
+    beside.context.close()
+
     source.playback.set_speed(0.1)  # as slow as possible, so that the page can press Pause before the end
     page.get_by_role("button", name="Play").click()
     wait_until(lambda: source.playback.is_playing)

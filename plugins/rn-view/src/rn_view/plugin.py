@@ -8,6 +8,7 @@ FEATURE = FeatureSpec(
     target="rn_view.feature:ViewFeature",
     config="rn_view.options:ViewOptions",
     needs=("http",),
+    switch="enabled",
 )
 """Descriptor of the feature; `http` holds the tokens and the rules for hosts and origins."""
 

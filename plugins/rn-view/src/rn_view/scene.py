@@ -89,11 +89,13 @@ class Scene:
         trail = list(measured.trail)
         if len(trail) > 1 and len(trail) + hash(trail[-1].tobytes()) != self._shown[2]:
             points = np.stack([trail[:-1], trail[1:]], axis=1)
-            if self._trail is not None:
-                self._trail.remove()
-            self._trail = self._scene.add_line_segments(
-                "/trail", points=points, colors=_TRAIL_RGB, thickness=2.0, thickness_units="screen"
-            )
+            if self._trail is None:
+                self._trail = self._scene.add_line_segments(
+                    "/trail", points=points, colors=_TRAIL_RGB, thickness=2.0, thickness_units="screen"
+                )
+            self._trail.points = points.astype(np.float32)
+        if self._trail is not None:
+            self._trail.visible = len(trail) > 1  # none yet at the beginning of a recording
         mark = len(trail) + hash(trail[-1].tobytes()) if trail else 0
         self._shown = (measured.joints, measured.tcp, mark)
 

@@ -141,6 +141,7 @@ class Viewer:
                     self._start_looking()
                 assert self._profile is not None
                 page.show(self._profile, self._history)
+                self._shown = {}  # it gets the pictures that are there, also if no others come
         except RoboNeuronError as error:
             log.error("The view cannot show the robot: %s", error)
             page.tell("The robot cannot be shown", str(error), is_bad=True)

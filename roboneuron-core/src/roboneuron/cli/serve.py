@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentError, ArgumentParser, Namespace
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from roboneuron.log_files import begin_logging
 if TYPE_CHECKING:
     from roboneuron.config import Config
     from roboneuron.plugins.registry import Registry
+    from roboneuron.plugins.specs import FeatureSpec
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -28,6 +30,21 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--log-level", choices=["debug", "info", "warning", "error"], default="info", help="of the log on stderr"
     )
+    for spec in switched_features():
+        told = f"{spec.switch} = true in [{spec.keys[0]}]: {spec.summary[:1].lower()}{spec.summary[1:]}"
+        with suppress(ArgumentError):  # a feature called as one of the options above has no flag
+            parser.add_argument(f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told)
+
+
+def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
+    """Features of installed plugins that the command line can switch on."""
+    from roboneuron.plugins.discovery import discover
+    from roboneuron.plugins.registry import Status
+    from roboneuron.plugins.specs import FeatureSpec
+
+    offers = (registry or discover()).offers("feature")
+    specs = [offer.spec for offer in offers if offer.status is Status.READY]
+    return [spec for spec in specs if isinstance(spec, FeatureSpec) and spec.switch is not None and spec.keys]
 
 
 def run(arguments: Namespace) -> int:
@@ -77,6 +94,9 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     if arguments.transport is not None:
         server = config.server.model_copy(update={"transport": arguments.transport})
         config = config.model_copy(update={"server": server})
+    for spec in getattr(arguments, "switches", None) or ():
+        section = {**config.sections.get(spec.keys[0], {}), spec.switch: True}
+        config = config.model_copy(update={"sections": {**config.sections, spec.keys[0]: section}})
     address = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
     if not address:
         return config

@@ -242,6 +242,8 @@ class FeatureSpec(Spec):
             ROS; None for none. In the server, `start` is the place for that.
         fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
             and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
+        switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`, NAME being the
+            feature's, sets it to true. None for no such flag.
     """
 
     kind: ClassVar[str] = "feature"
@@ -252,6 +254,7 @@ class FeatureSpec(Spec):
     needs: tuple[str, ...] = ()
     on_join: str | None = None
     fleet: str | None = None
+    switch: str | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:
