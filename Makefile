@@ -109,6 +109,9 @@ eval-libero: $(VENV)/.develop .venv-libero/.ready ## one episode of each of LIBE
 test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of the LIBERO simulator against those of the public scripts
 	$(BIN)/python -m pytest plugins/rn-eval-libero $(ARGS)
 
+test-eval-kills: $(VENV)/.develop ## 50 random kills of an evaluation's workers, command and Ray: no episode lost, none twice
+	$(BIN)/python -m pytest plugins/rn-eval/tests/test_workers_share_a_run.py -s -k kills_of_workers $(ARGS)
+
 interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own client and episode runner against our model server
 	$(BIN)/python -m pytest plugins/rn-eval/tests/test_backends_are_model_servers.py $(ARGS)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 import torch
 
+from rn_policy_cubes.measure import turn_error
 from rn_policy_cubes.recipe import Recipe
 from rn_policy_cubes.training import CURVE_FILE, STATE_FILE, Training, pack, train
 from roboneuron import ConfigurationError
@@ -41,6 +43,7 @@ def test_the_curve_tells_losses_and_held_out_figures(recipe: Recipe, shards: Pat
     assert [line["step"] for line in figures] == [4, 6]
     assert 0 <= figures[-1]["held_out_named_nearest"] <= 1
     assert figures[-1]["held_out_action_mm"] > 0
+    assert 0 <= figures[-1]["held_out_turn_rad"] <= math.pi / 4
 
 
 def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
@@ -50,6 +53,16 @@ def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
         line["total"] for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines()) if "total" in line
     ]
     assert totals[-1] < 0.9 * totals[0]
+
+
+def test_an_error_of_a_turn_is_never_more_than_an_eighth() -> None:
+    turns = torch.tensor([0.1, 0.75, -0.75, 0.0])
+    told = turns + torch.tensor([0.05, 0.1, 0.0, torch.pi / 4])
+
+    def places(values: torch.Tensor) -> torch.Tensor:
+        return torch.cat((torch.zeros(4, 3), (4 * values).sin()[:, None], (4 * values).cos()[:, None]), dim=1)
+
+    assert turn_error(places(told), places(turns)) == pytest.approx([0.05, 0.1, 0.0, torch.pi / 4], abs=1e-5)
 
 
 def test_the_rate_rises_stays_and_falls(recipe: Recipe, shards: Path, tmp_path: Path) -> None:

@@ -119,6 +119,27 @@ def test_deltas_are_faded_and_the_gripper_is_not() -> None:
     np.testing.assert_array_equal(faded[:, 6], 1.0)
 
 
+@pytest.mark.parametrize(("horizon", "faded"), [(4, 0), (5, 1), (6, 2), (8, 4), (16, 4)])
+def test_a_fade_leaves_most_of_a_short_chunk_as_it_was_predicted(horizon: int, faded: int) -> None:
+    queue = RowQueue()
+    queue.replace(chunk(horizon), 0, queue.epoch)
+    queue.replace(chunk(horizon, 1.0), 0, queue.epoch)
+    played = [queue.pop(0).vector[0] for _ in range(horizon)]
+    assert sum(abs(x - 1.0 - i * 1e-3) > 1e-9 for i, x in enumerate(played)) == faded
+
+
+@pytest.mark.parametrize(("horizon", "played"), [(4, 3), (5, 3), (6, 3), (8, 3), (16, 11)])
+def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(horizon: int, played: int) -> None:
+    """With answers at once a new chunk is asked for when one row is left, and those to be faded."""
+    made = ChunkExecutor(Abilities(), fixed="overlap", bounds=Bounds(first_s=9.0))
+    made.answer(made.begin(observation(0), 0), chunk(horizon), now_ns=0)
+    sent = 0
+    while not made.wants_prediction(sent * STEP_S):
+        assert made.play(sent * STEP_S, round(sent * STEP_NS)) is not None
+        sent += 1
+    assert sent == played
+
+
 def test_ahead_holds_what_was_sent_since_the_capture_and_what_is_planned() -> None:
     queue = RowQueue(fade_rows=0)
     queue.append(chunk(8, 0.5), queue.epoch)

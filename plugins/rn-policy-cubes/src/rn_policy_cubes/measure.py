@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from rn_policy_cubes.dataset import Shards, every
 from rn_policy_cubes.demonstrations import COLOURS
@@ -16,7 +17,7 @@ from rn_policy_cubes.recipe import MOVE_SCALE_M
 from rn_policy_cubes.words import Prompts
 
 _VIEWS = 8
-_NEAR_M = 0.06
+_NEAR_M, _FAR_M = 0.06, 0.10
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,8 @@ class Figures:
         pointing: balanced accuracy of the pointing helper after the second layer.
         named_nearest: share of pairs in which the told place is nearest to the named cube.
         place_mm: median distance between told and true place; `place_near_mm` within 6 cm of the TCP.
+        turn_rad: median error of the told turn to the cube farther than 10 cm from the TCP, where turns are spread
+            evenly; who does not see how a cube is turned errs by pi / 8.
         action_mm: mean absolute error of a move, per axis; `action_near_mm` likewise near the cube.
         grip: share of actions with the right opening; `grip_near` near the cube.
     """
@@ -35,6 +38,7 @@ class Figures:
     named_nearest: float
     place_mm: float
     place_near_mm: float
+    turn_rad: float
     action_mm: float
     action_near_mm: float
     grip: float
@@ -48,7 +52,7 @@ class Figures:
 @torch.no_grad()
 def measure(network: CubesNetwork, helpers: Helpers, shards: Shards, prompts: Prompts, device: torch.device) -> Figures:
     """The figures of a network."""
-    told, true, move, grip, known, distance, pointing = [], [], [], [], [], [], []
+    told, true, move, grip, known, distance, pointing, turn = [], [], [], [], [], [], [], []
     for batch in every(shards, prompts, _VIEWS):
         batch = batch.to(device)
         with torch.autocast(device.type, torch.bfloat16):
@@ -57,6 +61,7 @@ def measure(network: CubesNetwork, helpers: Helpers, shards: Shards, prompts: Pr
         pointing.append(float(result.accuracy))
         told.append(result.told[:, :3].cpu().numpy() / PLACE_SCALE)
         true.append(batch.place[:, :3].cpu().numpy() / PLACE_SCALE)
+        turn.append(turn_error(result.told, batch.place))
         error = (thought.actions.float() - batch.actions).abs()
         move.append(error[..., :3].mean(dim=(1, 2)).cpu().numpy() * MOVE_SCALE_M)
         said = thought.actions[..., 6].float() > 0.5
@@ -75,11 +80,20 @@ def measure(network: CubesNetwork, helpers: Helpers, shards: Shards, prompts: Pr
         named_nearest=float((gaps.argmin(axis=-1) == np.arange(len(COLOURS))).mean()),
         place_mm=float(np.median(error_m) * 1e3),
         place_near_mm=_mean(np.median, error_m[near]) * 1e3,
+        turn_rad=_mean(np.median, np.concatenate(turn)[far > _FAR_M]),
         action_mm=float(moves[ok].mean() * 1e3),
         action_near_mm=_mean(np.mean, moves[near]) * 1e3,
         grip=float(grips[ok].mean()),
         grip_near=_mean(np.mean, grips[near]),
     )
+
+
+def turn_error(told: Tensor, true: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Of places (pairs, 5), the last two values of which are sine and cosine of four times the turn; [rad]."""
+    four = torch.atan2(told[:, 3], told[:, 4]) - torch.atan2(true[:, 3], true[:, 4])
+    error: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+    error = torch.atan2(four.sin(), four.cos()).abs().double().cpu().numpy() / 4
+    return error
 
 
 def _mean(function: object, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:

@@ -18,7 +18,7 @@ from roboneuron.errors import NotReadyError
 from roboneuron.modules.execution.latency import LatencyWindow, rows_in
 from roboneuron.modules.execution.meter import Delivery, DeliveryMeter
 from roboneuron.modules.execution.mode import Abilities, Choice, Mode, ModeSelector
-from roboneuron.modules.execution.queue import FADE_ROWS, Outcome, Row, RowQueue
+from roboneuron.modules.execution.queue import Outcome, Row, RowQueue, fade_rows_of
 from roboneuron.modules.execution.roll_forward import roll_forward
 
 F64 = NDArray[np.float64]
@@ -123,6 +123,7 @@ class ChunkExecutor:
         self._latency = LatencyWindow()
         self._meter = DeliveryMeter()
         self._step_s: float | None = None
+        self._horizon = 0
         self._due_s = 0.0
         self.changed = threading.Condition(threading.RLock())
 
@@ -140,7 +141,7 @@ class ChunkExecutor:
             if mode == "predicted-state":
                 return rows <= delay_rows + 1
             # As late as the latency allows: what is predicted later has seen more. The fade needs old rows too.
-            return rows <= delay_rows + 1 + FADE_ROWS
+            return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
 
     def wait_until_wanted(self, stop: threading.Event, timeout_s: float) -> bool:
         """Block until a prediction is wanted; False after `timeout_s` or when `stop` is set."""
@@ -201,7 +202,7 @@ class ChunkExecutor:
     def measure(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> None:
         """Learn from an answer that is not played, in shadow, as `answer` does from every one."""
         with self.changed:
-            self._step_s = chunk.step_s
+            self._step_s, self._horizon = chunk.step_s, len(chunk.actions)
             self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
             self._selector.update(len(chunk.actions), chunk.step_s, self._latency)
 

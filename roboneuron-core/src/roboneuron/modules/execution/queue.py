@@ -171,7 +171,8 @@ class RowQueue:
         self._was_unconditioned = False
         vectors = chunk.actions[played:]
         if not chunk.conditioned_rows or is_overrun:
-            vectors = cross_fade([row.vector for row in self._rows], vectors, self.fade_rows)
+            fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
+            vectors = cross_fade([row.vector for row in self._rows], vectors, fade_rows)
         self._rows = deque(_rows(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
@@ -186,6 +187,14 @@ class RowQueue:
 
     def _sent_after(self, captured_ns: int) -> list[F64]:
         return [sent.vector for sent in self._sent if sent.epoch == self.epoch and sent.sent_ns >= captured_ns]
+
+
+def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
+    """Rows of a chunk that are faded: `most`, but the others are to be at least as many.
+
+    The motion of a faded row is older than its gripper, so a short chunk that is faded all along grasps too early.
+    """
+    return max(0, min(most, horizon - most))
 
 
 def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
