@@ -7,6 +7,7 @@ import statistics
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
@@ -15,9 +16,17 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from roboneuron.contract import ACTION_SIZE, ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
+from roboneuron.contract import (
+    ACTION_SIZE,
+    ActionChunk,
+    AnyAcceleration,
+    AnyRuntime,
+    Backend,
+    CameraProfile,
+    Observation,
+    RobotProfile,
+)
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.acceleration import AccelerationInForce
 from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction, Row, check_mode
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
@@ -53,6 +62,10 @@ class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
     Two threads: one observes and predicts, one plays. `ChunkExecutor` decides when each of them does what.
+
+    Attributes:
+        backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
+        before_prediction: called on the predicting thread between two predictions.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -61,7 +74,7 @@ class InferenceModule(Module):
         config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
-        registry = discover(self.config.disabled_plugins)
+        registry = self._registry = discover(self.config.disabled_plugins)
         plan = check_plan(
             registry,
             robot=robot.name,
@@ -81,20 +94,16 @@ class InferenceModule(Module):
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
             for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
         }
-        self._runtime = cast("AnyRuntime | None", parts["runtime"])
-        self._backend = cast("Backend", build(spec, options, **parts))
-        node.resources.callback(self._backend.close)
+        self.runtime = cast("AnyRuntime | None", parts["runtime"])
+        self.backend = cast("Backend", build(spec, options, **parts))
+        node.resources.callback(self.backend.close)
         started_s = time.monotonic()
-        self._backend.load()
+        self.backend.load()
         self.status.set_value("load_s", time.monotonic() - started_s)
         self.status.set_value("backend", spec.name)
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
-        self._acceleration = AccelerationInForce(
-            node,
-            plan.acceleration.name if plan.acceleration else "",
-            (self._backend, self._runtime),
-            lambda name: build(registry.get(AccelerationSpec, name), self.config.options(name)),
-        )
+        self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self.before_prediction: list[Callable[[], None]] = []
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -150,12 +159,17 @@ class InferenceModule(Module):
         self._not_before_ns = self.node.now_ns()
         self._executor.begin_epoch()
 
+    def build_acceleration(self, name: str) -> AnyAcceleration:
+        """The installed acceleration of that name, with its configured options. Raises as `build`."""
+        spec = self._registry.get(AccelerationSpec, name)
+        return cast("AnyAcceleration", build(spec, self.config.options(name)))
+
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
-        if self._runtime is None:
+        if self.runtime is None:
             return
         try:
-            self._runtime.abort()
+            self.runtime.abort()
         except Exception:  # the module border: silence matters more than what a plugin says about it
             log.exception("the runtime could not give up its prediction")
 
@@ -169,7 +183,8 @@ class InferenceModule(Module):
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""
-        self._acceleration.change_if_asked()
+        for step in self.before_prediction:
+            step()
         if self.node.stopped:
             stop.wait(_WAIT_S)
             return
@@ -225,10 +240,10 @@ class InferenceModule(Module):
         resets = self._instruction.is_new
         if resets:
             self._instruction.is_new = False
-            self._backend.reset()
+            self.backend.reset()
         started_s = time.monotonic()
         try:
-            chunk = self._backend.predict(prediction.observation)
+            chunk = self.backend.predict(prediction.observation)
         except Exception as error:
             self._tell(prediction, resets, error)
             self._executor.drop()  # rows that were planned before must not go on when the newest image is refused

@@ -10,20 +10,23 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.modules.handover import Handover, load_handover
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
+from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
 
@@ -60,14 +63,45 @@ class Module(ABC):
         """The latch changed; modules that move the robot override this."""
 
 
+class ModuleHost(Protocol):
+    """What a module process lends to features (`FeatureSpec.on_join`): the part of ModuleNode that publishes nothing.
+
+    Attributes:
+        settings: what the process was told.
+        status: where to report.
+        resources: what is released at cleanup, from `configure` on.
+        handover: which inputs are this module's; a feature that replaces modules puts its own object here.
+        on_configured: called with the module at the end of every `configure`, which fails if one raises.
+    """
+
+    settings: ModuleSettings
+    status: ModuleStatus
+    resources: ExitStack
+    handover: Handover
+    on_configured: list[Callable[[Module], None]]
+
+    def add_parameter(
+        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
+    ) -> Callable[[], None]:
+        """Declare a ROS parameter, which only the server of this module can set; call what is returned to remove it.
+
+        Args:
+            name: of the parameter.
+            value: the first one; ROS refuses values of other types.
+            take: called with each later value, on the executor's thread.
+            refuse: says what is wrong with a value; empty for nothing.
+        """
+        ...
+
+
 class ModuleNode(LifecycleNode):  # type: ignore[misc]
     """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
 
     Attributes:
         module: from `configure` to cleanup, else None.
-        resources: what is released at cleanup.
         stopped: whether the emergency stop is latched.
-        handover: which inputs are this module's.
+
+    Implements `ModuleHost`, which describes the other attributes.
     """
 
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
@@ -77,7 +111,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.stopped = False
         self.module: Module | None = None
         self.resources = ExitStack()
-        self.handover = load_handover(self, settings, self.status)
+        self.handover = Handover(self.status)
+        self.on_configured: list[Callable[[Module], None]] = []
         self._kind = kind
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
@@ -92,6 +127,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._requests = RequestGuard(self, self.status)
+        for reference in settings.on_join:
+            self._join(reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
 
@@ -116,6 +153,30 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Call `callback` with each message until cleanup."""
         self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
 
+    def add_parameter(
+        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
+    ) -> Callable[[], None]:
+        """See `ModuleHost.add_parameter`."""
+
+        def check(parameters: list[Parameter]) -> SetParametersResult:
+            reason = next((r for p in parameters if p.name == name and (r := refuse(p.value))), "")
+            return SetParametersResult(successful=not reason, reason=reason)
+
+        def take_all(parameters: list[Parameter]) -> None:
+            for parameter in parameters:
+                if parameter.name == name:
+                    take(parameter.value)
+
+        def remove() -> None:
+            self.remove_on_set_parameters_callback(check)
+            self.remove_post_set_parameters_callback(take_all)
+            self.undeclare_parameter(name)
+
+        self.declare_parameter(name, value)
+        self.add_on_set_parameters_callback(check)
+        self.add_post_set_parameters_callback(take_all)
+        return remove
+
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period until cleanup."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
@@ -123,14 +184,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         self.status.set_state("configuring")
-        result = self._attempt(self._configure, "inactive", otherwise="unconfigured")
-        if result is TransitionCallbackReturn.FAILURE:
-            return result
-        # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
-        gc.collect()
-        gc.freeze()
-        self.handover.begin()
-        return result
+        return self._attempt(self._configure, "inactive", otherwise="unconfigured")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -182,6 +236,13 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         finally:
             self._reporter.stop()
 
+    def _join(self, reference: str) -> None:
+        """Call what a feature wants called in every module process."""
+        try:
+            cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(self)
+        except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
+            log.exception("%s cannot be used in this module.", reference)
+
     def _configure(self) -> None:
         if self.settings.shadow and type(self.handover) is Handover:
             raise ConfigurationError(
@@ -190,6 +251,11 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             )
         try:
             self.module = self._kind(self)
+            # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
+            gc.collect()
+            gc.freeze()
+            for extend in self.on_configured:
+                extend(self.module)
         except Exception:
             try:
                 self._release()
