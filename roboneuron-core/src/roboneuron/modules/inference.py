@@ -27,7 +27,7 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction, Row, check_mode
+from roboneuron.modules.execution import Bounds, Prediction, Row
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
@@ -117,16 +117,8 @@ class InferenceModule(Module):
         self._subscribe(cameras, with_state=spec.needs_state)
         self._publisher = node.advertise(Float64MultiArray, ACTION)
         self._predictions = node.advertise(String, PREDICTIONS)
-        abilities = Abilities(
-            conditions_on_rows=spec.conditions_on_rows,
-            max_committed_rows=spec.max_committed_rows,
-            takes_predicted_state=spec.takes_predicted_state,
-        )
-        fixed = None if config.execution == "auto" else config.execution
-        if fixed is not None:
-            check_mode(fixed, abilities, spec.name)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self._executor = ChunkExecutor(abilities, fixed=fixed, bounds=bounds)
+        self._executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
         self._has_sent = False
         self._heard_s = 0.0
@@ -327,7 +319,7 @@ class InferenceModule(Module):
 
     def _report(self) -> None:
         """Tell how chunks are executed, and the numbers that decided."""
-        for name, value in self._executor.status().to_values().items():
+        for name, value in self._executor.values().items():
             self.status.set_value(f"execution.{name}", value)
 
 

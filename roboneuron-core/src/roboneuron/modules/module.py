@@ -21,12 +21,14 @@ from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
 from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
 
@@ -71,6 +73,7 @@ class ModuleHost(Protocol):
         status: where to report.
         resources: what is released at cleanup, from `configure` on.
         handover: which inputs are this module's; a feature that replaces modules puts its own object here.
+        make_executor: how an inference module gets what executes its chunks; see `make_sequential`.
         on_configured: called with the module at the end of every `configure`, which fails if one raises.
     """
 
@@ -78,6 +81,7 @@ class ModuleHost(Protocol):
     status: ModuleStatus
     resources: ExitStack
     handover: Handover
+    make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor]
     on_configured: list[Callable[[Module], None]]
 
     def add_parameter(
@@ -112,6 +116,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.module: Module | None = None
         self.resources = ExitStack()
         self.handover = Handover(self.status)
+        self.make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor] = make_sequential
         self.on_configured: list[Callable[[Module], None]] = []
         self._kind = kind
         self.status.set(emergency_stop=False)
