@@ -13,7 +13,8 @@ from rn_execution.mode import Abilities, Choice, Mode, ModeSelector
 from rn_execution.queue import FADE_ROWS, SentRowQueue
 from rn_execution.roll_forward import roll_forward
 from roboneuron.contract import ActionChunk, Ahead, Observation
-from roboneuron.modules.execution import Bounds, ChunkExecutor, Outcome, Prediction, Row
+from roboneuron.modules.execution import Bounds, ChunkExecutor, Prediction
+from roboneuron.modules.row_queue import Outcome, Row
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,7 +10,7 @@ from roboneuron import BackendSpec, Feature
 from roboneuron.modules.execution import Bounds, ChunkExecutor
 
 if TYPE_CHECKING:
-    from roboneuron.modules.module import ModuleHost
+    from roboneuron.modules.module_host import ModuleHost
 
 
 class ExecutionFeature(Feature[None]):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import ActionChunk, Ahead
-from roboneuron.modules.execution import Outcome, Row, RowQueue, rows_of
+from roboneuron.modules.row_queue import Outcome, Row, RowQueue, rows_of
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4

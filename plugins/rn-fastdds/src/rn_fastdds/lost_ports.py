@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from rn_fastdds.dead_ports import release_dead_locks
 from rn_fastdds.port_record import FLAGS, IS_OK, find_record
 from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
-from roboneuron.modules.module import ModuleHost
+from roboneuron.modules.module_host import ModuleHost
 from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,8 @@ from roboneuron.contract import RecoverableDriver
 from roboneuron.errors import PluginError, RoboNeuronError
 
 if TYPE_CHECKING:
-    from roboneuron.modules.module import Module, ModuleHost
+    from roboneuron.modules.module import Module
+    from roboneuron.modules.module_host import ModuleHost
 
 RECOVER_PARAMETER = "recover"
 """ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""

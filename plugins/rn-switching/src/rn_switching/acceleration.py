@@ -10,7 +10,7 @@ from rn_switching.standby import ACCELERATION_PARAMETER
 from roboneuron.contract import AccelerationChanger
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.inference import InferenceModule
-from roboneuron.modules.module import ModuleHost
+from roboneuron.modules.module_host import ModuleHost
 
 log = logging.getLogger(__name__)
 

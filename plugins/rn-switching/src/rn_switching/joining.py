@@ -8,7 +8,8 @@ from rn_switching.acceleration import AccelerationInForce
 from rn_switching.handover import TimedHandover
 from rn_switching.standby import restore
 from roboneuron.modules.inference import InferenceModule
-from roboneuron.modules.module import Module, ModuleHost
+from roboneuron.modules.module import Module
+from roboneuron.modules.module_host import ModuleHost
 
 
 def join(host: ModuleHost) -> None:

@@ -10,12 +10,10 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
@@ -23,11 +21,11 @@ from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.modules.handover import Handover
+from roboneuron.modules.module_host import add_parameter, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
-from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
@@ -65,39 +63,6 @@ class Module(ABC):
         """The latch changed; modules that move the robot override this."""
 
 
-class ModuleHost(Protocol):
-    """What a module process lends to features (`FeatureSpec.on_join`): the part of ModuleNode that publishes nothing.
-
-    Attributes:
-        settings: what the process was told.
-        status: where to report.
-        resources: what is released at cleanup, from `configure` on.
-        handover: which inputs are this module's; a feature that replaces modules puts its own object here.
-        make_executor: how an inference module gets what executes its chunks; see `make_sequential`.
-        on_configured: called with the module at the end of every `configure`, which fails if one raises.
-    """
-
-    settings: ModuleSettings
-    status: ModuleStatus
-    resources: ExitStack
-    handover: Handover
-    make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor]
-    on_configured: list[Callable[[Module], None]]
-
-    def add_parameter(
-        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
-    ) -> Callable[[], None]:
-        """Declare a ROS parameter, which only the server of this module can set; call what is returned to remove it.
-
-        Args:
-            name: of the parameter.
-            value: the first one; ROS refuses values of other types.
-            take: called with each later value, on the executor's thread.
-            refuse: says what is wrong with a value; empty for nothing.
-        """
-        ...
-
-
 class ModuleNode(LifecycleNode):  # type: ignore[misc]
     """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
 
@@ -133,7 +98,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
-            self._join(reference)
+            join(self, reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
 
@@ -162,25 +127,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
     ) -> Callable[[], None]:
         """See `ModuleHost.add_parameter`."""
-
-        def check(parameters: list[Parameter]) -> SetParametersResult:
-            reason = next((r for p in parameters if p.name == name and (r := refuse(p.value))), "")
-            return SetParametersResult(successful=not reason, reason=reason)
-
-        def take_all(parameters: list[Parameter]) -> None:
-            for parameter in parameters:
-                if parameter.name == name:
-                    take(parameter.value)
-
-        def remove() -> None:
-            self.remove_on_set_parameters_callback(check)
-            self.remove_post_set_parameters_callback(take_all)
-            self.undeclare_parameter(name)
-
-        self.declare_parameter(name, value)
-        self.add_on_set_parameters_callback(check)
-        self.add_post_set_parameters_callback(take_all)
-        return remove
+        return add_parameter(self, name, value, take, refuse)
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period until cleanup."""
@@ -240,13 +187,6 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             log.error("while leaving: %s", error)
         finally:
             self._reporter.stop()
-
-    def _join(self, reference: str) -> None:
-        """Call what a feature wants called in every module process."""
-        try:
-            cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(self)
-        except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
-            log.exception("%s cannot be used in this module.", reference)
 
     def _configure(self) -> None:
         if self.settings.shadow and type(self.handover) is Handover:

@@ -13,6 +13,7 @@ from roboneuron.contract import JointCommand, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.settings import FUTURE_S
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import RobotSpec
@@ -22,8 +23,6 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
 _WATCH_S = 0.1
-_FUTURE_S = 0.1
-"""How far the clock of another machine may be ahead of this one: what a wrong clock sends cannot be told from old."""
 
 
 class RobotModule(Module):
@@ -136,7 +135,7 @@ class RobotModule(Module):
             self.status.dropped.add(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
-        if age_s > self.config.robot.command_timeout_s or age_s < -_FUTURE_S:
+        if age_s > self.config.robot.command_timeout_s or age_s < -FUTURE_S:
             self.status.dropped.add("stale_command" if age_s > 0 else "future_command")
             return False
         self.status.latency.add(age_s * 1e3)

@@ -52,5 +52,14 @@ FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False releases."""
+FUTURE_S = 0.1
+"""How far the clock of another machine may be ahead of this one."""
+SHORTEST_STEP_S, FIRST_STEP_S = 0.02, 0.1
+"""Time that control gives the arm for an action: that since the one before, at least the first; the second one for an
+action after a pause."""
+HOLD_SHARE = 0.75
+"""Control holds after this share of `action_timeout_s`, so that the arm stands within all of it."""
+HOLD_DURATION_S = 0.05
+"""Time that a hold gives the joints to be where they were measured."""
 STATUS_PERIOD_S = 0.2
 """Every module reports on /diagnostics at least this often, and at once after a change."""
