@@ -17,7 +17,7 @@ LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
   plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
-  plugins/rn-tools-arm plugins/rn-tools-inspect
+  plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 # These compile ROS 2 types and need a C++ compiler; without one the rest works, and their tests are skipped.

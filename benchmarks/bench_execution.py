@@ -31,8 +31,8 @@ from plugin_site import installed
 from rich.console import Console
 from rich.table import Table
 
-from rn_testing.virtual_cell import Outcomes, Trial, run
-from roboneuron.modules.execution import Abilities, Mode
+from rn_execution.mode import Abilities, Mode
+from rn_execution.virtual_cell import Outcomes, Trial, run
 from roboneuron.ros.environment import prepare_environment
 
 HORIZONS = (8, 16)

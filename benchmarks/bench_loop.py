@@ -26,6 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rn_execution.plugin import FEATURE as EXECUTION
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
@@ -170,6 +171,7 @@ def inference(environment: dict[str, str], scratch: Path, configuration: str = C
         node_name="inference",
         config=parse_config(configuration),
         state_directory=str(scratch),
+        on_join=(EXECUTION.on_join or "",),
     )
     with (scratch / "inference.log").open("ab") as log:
         process = subprocess.Popen(

@@ -32,11 +32,13 @@ from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_controller_urdf.controller import UrdfController
+from rn_execution.adaptive import AdaptiveExecutor
+from rn_execution.mode import MODES, Abilities, Mode
 from rn_robot_fr3.profile import profile as fr3_profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
 from roboneuron.contract import Action, ActionChunk, Frame, Hold, JointSample, Observation
 from roboneuron.errors import NotReadyError, RoboNeuronError
-from roboneuron.modules.execution import MODES, Abilities, Bounds, ChunkExecutor, Mode, Prediction
+from roboneuron.modules.execution import Bounds, Prediction
 
 PERIOD_S = 0.1
 MOST_S = 60.0
@@ -211,11 +213,11 @@ def play_at_once(episode: Episode) -> None:
             episode.act(chunk.actions[0])
 
 
-def play_overlapped(episode: Episode, added_latency_s: float) -> ChunkExecutor:
+def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecutor:
     """Answers come late; the executor decides, by simulated time, when to predict and which row to send."""
     job, simulation = episode.job, episode.simulation
     abilities = Abilities(conditions_on_rows=roboneuron_backends()[0].conditions_on_rows)
-    executor = ChunkExecutor(abilities, fixed=job.mode, bounds=Bounds(first_s=MAX_IMAGE_AGE_S))
+    executor = AdaptiveExecutor(abilities, fixed=job.mode, bounds=Bounds(first_s=MAX_IMAGE_AGE_S))
     executor.begin_epoch()
     pending: tuple[float, Prediction, ActionChunk] | None = None
     used_ns, ticks = -1, 0

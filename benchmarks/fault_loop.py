@@ -14,7 +14,8 @@ from typing import Any
 from plugin_site import installed
 from shared_memory import repaired
 
-from rn_switching.standby import HANDOVER
+from rn_execution.plugin import FEATURE as EXECUTION
+from rn_switching.standby import JOIN
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.module_kinds import StartInference
@@ -180,7 +181,7 @@ def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[C
     with environment(folder):
         config = parse_config(config_text(folder, rate_hz, **more))
         supervisor = Supervisor(folder / "state")
-        supervisor.handover = HANDOVER
+        supervisor.on_join = (JOIN, EXECUTION.on_join or "")
         try:
             link = supervisor.link
             witness = JointWitness(link.node, link.on_executor, config.namespace)

@@ -16,7 +16,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 def repaired(supervisor: Supervisor) -> Iterator[None]:
     """As a server does with rn-fastdds installed."""
     repair = SharedMemoryRepair(None)
-    supervisor.on_join = (FEATURE.on_join or "",)
+    supervisor.on_join += (FEATURE.on_join or "",)
     assert supervisor.link
     repair.start(cast(Any, SimpleNamespace(supervisor=supervisor)))
     try:

@@ -14,6 +14,7 @@ from typing import Any
 from plugin_site import installed
 from shared_memory import repaired
 
+from rn_execution.plugin import FEATURE as EXECUTION
 from rn_switching.replacing import Switching
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
@@ -152,6 +153,7 @@ def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iter
     with installed(scratch, "rn-switch", ("switch_plugin",)):
         config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))
         supervisor = Supervisor(scratch / "state")
+        supervisor.on_join = (EXECUTION.on_join or "",)
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
             switching = Switching(loop)

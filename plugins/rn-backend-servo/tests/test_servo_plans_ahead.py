@@ -12,8 +12,10 @@ from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.case import contract_case, observe, paint_table
 from rn_backend_servo.chunk import pose_after, rows_done
 from rn_backend_servo.options import ServoOptions
+from rn_execution.adaptive import AdaptiveExecutor
+from rn_execution.mode import Abilities
 from roboneuron.contract import ActionChunk, Ahead, Observation
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction
+from roboneuron.modules.execution import Bounds, Prediction
 
 CUBE_M = (0.5, -0.1)
 ROWS = 12
@@ -122,7 +124,7 @@ def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency
     """Images one period old and a late answer: no period passes without a row until the cube is held."""
     arm = Arm()
     abilities = Abilities(conditions_on_rows=contract_case().spec.conditions_on_rows)
-    executor = ChunkExecutor(abilities, fixed=None, bounds=Bounds(first_s=0.7))
+    executor = AdaptiveExecutor(abilities, fixed=None, bounds=Bounds(first_s=0.7))
     executor.begin_epoch()
     pending: tuple[float, Prediction, ActionChunk] | None = None
     note, used_s, lowest_m = "", -1.0, 1.0

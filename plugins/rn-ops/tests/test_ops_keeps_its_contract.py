@@ -2,7 +2,7 @@
 
 import pytest
 
-from rn_ops.plugin import CLIENTS, COMMAND, FEATURE
+from rn_ops.plugin import CLIENTS, COMMAND, FEATURE, RECOVERY
 from rn_testing import (
     CommandCase,
     CommandContract,
@@ -23,6 +23,12 @@ class TestClients(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=CLIENTS)
+
+
+class TestRecovery(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=RECOVERY)
 
 
 class TestDoctor(CommandContract):

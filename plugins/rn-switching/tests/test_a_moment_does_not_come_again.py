@@ -17,7 +17,7 @@ class Clocks:
         self.mono_s = 100.0
 
     def set_moment(self, handover: TimedHandover, name: str, moment_ns: int) -> None:
-        handover.set({name: moment_ns})
+        handover.set(name, moment_ns)
 
 
 @pytest.fixture

@@ -50,6 +50,7 @@ rate_hz = 30.0
 """
 NAMES = ("half", None, "quarter")
 CHANGES = 50
+EXECUTION = "rn_execution.feature:join"
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
     with installed(scratch, "rn-preset", ("preset_plugin", "switch_plugin")):
         config = parse_config(CONFIG)
         supervisor = Supervisor(scratch / "state")
+        supervisor.on_join = (EXECUTION,)
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
             switching = Switching(loop)

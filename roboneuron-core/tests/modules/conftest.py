@@ -98,7 +98,7 @@ class World:
             node_name=kind,
             config=parse_config(text),
             state_directory=str(self.state_directory),
-            handover="loop_plugin:Windows",
+            on_join=("loop_plugin:join",),
             shadow=shadow,
         )
         node = ModuleNode(settings, classes[kind])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -111,14 +112,14 @@ class Windows(Handover):
     """Moments of a feature that replaces modules."""
 
     def __init__(self, shadow: bool, status: Any) -> None:
-        super().__init__(shadow, status)
+        super().__init__(status)
         self.moments = {"act_from_ns": 2**62 if shadow else 0, "act_until_ns": 0, "play_until_ns": 0}
         self.withheld: list[Any] = []
         self.heard: list[Any] = []
         self.sent: list[str] = []
 
-    def set(self, moments: Mapping[str, int]) -> None:
-        self.moments = {**self.moments, **moments}
+    def set(self, name: str, moment_ns: int) -> None:
+        self.moments[name] = moment_ns
 
     def is_shadow(self, stamp_ns: int) -> bool:
         return stamp_ns < self.moments["act_from_ns"]
@@ -137,6 +138,12 @@ class Windows(Handover):
 
     def note_sent(self, what: str) -> None:
         self.sent.append(what)
+
+
+def join(host: Any) -> None:
+    windows = host.handover = Windows(host.settings.shadow, host.status)
+    for name, moment_ns in windows.moments.items():
+        host.add_parameter(name, moment_ns, partial(windows.set, name), lambda ns: "no ROS time" if ns < 0 else "")
 
 
 class Instant:

@@ -44,7 +44,7 @@ def test_driver_facts_are_reported(robot: Any, wait_until: Callable[..., bool], 
 
 def test_command_reaches_the_driver(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
     world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.3))
-    assert wait_until(lambda: robot.module._driver.position[0] == 0.3)
+    assert wait_until(lambda: robot.module.driver.position[0] == 0.3)
 
 
 def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
@@ -57,7 +57,7 @@ def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
         point.time_from_start.sec, point.time_from_start.nanosec = divmod((index + 1) * 200_000_000, 10**9)
         message.points.append(point)
     publisher.publish(message)
-    driver = robot.module._driver
+    driver = robot.module.driver
     assert wait_until(lambda: len(driver.sent) == 2)
     publisher.publish(command(-0.9))
     assert wait_until(lambda: driver.position[0] == -0.9, 0.15)
@@ -65,7 +65,7 @@ def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
 
 
 def test_commands_that_cease_are_followed_by_one_hold(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
-    driver = robot.module._driver
+    driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(command(0.1))
     assert wait_until(lambda: driver.holds == 1, 2.0)
@@ -82,7 +82,7 @@ def test_damaged_command_is_counted_and_moves_nothing(
     message.points[0].positions = positions
     world.publisher(JointTrajectory, "joint_trajectory").publish(message)
     assert wait_until(lambda: status_of(robot).get("dropped.malformed_command") == "1")
-    assert not robot.module._driver.sent
+    assert not robot.module.driver.sent
 
 
 @pytest.mark.parametrize(("jump_s", "word"), [(-3600.0, "future_command"), (3600.0, "stale_command")])
@@ -109,9 +109,9 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
         patch.setattr(robot_module, "time", Shifted)
         publisher.publish(command(0.1))
         assert wait_until(lambda: status_of(robot).get(f"dropped.{word}") == "1")
-    assert not robot.module._driver.sent
+    assert not robot.module.driver.sent
     publisher.publish(command(0.2))
-    assert wait_until(lambda: robot.module._driver.position[0] == 0.2)
+    assert wait_until(lambda: robot.module.driver.position[0] == 0.2)
 
 
 def test_emergency_stop_holds_the_driver_and_refuses_commands(
@@ -119,7 +119,7 @@ def test_emergency_stop_holds_the_driver_and_refuses_commands(
 ) -> None:
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=True))
-    driver = robot.module._driver
+    driver = robot.module.driver
     assert wait_until(lambda: driver.holds == 1)
     publisher.publish(command(0.1))
     assert wait_until(lambda: status_of(robot).get("dropped.emergency_stop") == "1")
@@ -139,7 +139,7 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
     world: Any, wait_until: Callable[..., bool], status_of: Any
 ) -> None:
     robot = world.start("robot", replace={"command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4"})
-    driver = robot.module._driver
+    driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(long_trajectory(3, 0.15))
     assert wait_until(lambda: len(driver.sent) == 3), "a module without a server has no server to wait for"
@@ -172,7 +172,7 @@ def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
     publisher.publish(Bool(data=True))
     assert wait_until(lambda: heard == [True])
     robot.note_beat()
-    assert wait_until(lambda: robot.module._driver.holds == 1)
+    assert wait_until(lambda: robot.module.driver.holds == 1)
     publisher.publish(Bool(data=True))
     assert not wait_until(lambda: len(heard) > 1, 0.3)
 
@@ -182,7 +182,7 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     world: Any, robot: Any, wait_until: Callable[..., bool], monkeypatch: pytest.MonkeyPatch, cause: str
 ) -> None:
     """The stop comes between taking a command and sending it: its hold reaches the driver before the command."""
-    driver, events = robot.module._driver, []
+    driver, events = robot.module.driver, []
     send, hold = driver.send, driver.hold
 
     def late(command: JointCommand) -> JointCommand:
@@ -205,7 +205,7 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
 
 def test_deactivation_holds(world: Any, robot: Any) -> None:
     assert world.run(robot.trigger_deactivate) is TransitionCallbackReturn.SUCCESS
-    assert robot.module._driver.holds == 1
+    assert robot.module.driver.holds == 1
 
 
 def test_unknown_robot_or_driver_names_the_choices(world: Any) -> None:

@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
-from roboneuron import Action, Controller, Hold, JointCommand, JointSample, Posture, PostureInspector
-from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron import Action, Controller, Hold, JointCommand, JointSample
+from roboneuron.gate.motion import MotionLimiter, inspector_of, motion_rules
+from roboneuron.modules.settings import FIRST_STEP_S, HOLD_DURATION_S, HOLD_SHARE, SHORTEST_STEP_S
 
 F64 = NDArray[np.float64]
-
-_HOLD_DURATION_S = 0.05
-_SHORTEST_STEP_S, _FIRST_STEP_S = 0.02, 0.1
-_HOLD_SHARE = 0.75
-"""These four are the control module's (`roboneuron.modules.control`)."""
 
 
 class DeployedArm:
@@ -34,12 +30,11 @@ class DeployedArm:
         self._timeout_s = control.action_timeout_s
         self._names = setup.profile.arm_joints
         self._controller = controller
-        inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
         self._limiter = MotionLimiter(
             motion_rules(setup.config.limits, setup.profile),
             setup.profile,
             controller.forward,
-            inspect,
+            inspector_of(controller),
             immediate=control.command == "joint_state",
             longest_s=setup.config.robot.server_timeout_s,
         )
@@ -59,7 +54,7 @@ class DeployedArm:
             the code of the hold.
         """
         since_s = now_s - self._action_s
-        step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._timeout_s else _FIRST_STEP_S
+        step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._timeout_s else FIRST_STEP_S
         outcome: JointCommand | Hold | None = self._controller.compute(Action.from_vector(vector), joints, step_s)
         word = ""
         if isinstance(outcome, JointCommand):
@@ -76,7 +71,7 @@ class DeployedArm:
 
     def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
         """A hold when actions have ceased; None otherwise, and while it holds already."""
-        if self._holding or now_s - self._action_s <= self._timeout_s * _HOLD_SHARE:
+        if self._holding or now_s - self._action_s <= self._timeout_s * HOLD_SHARE:
             return None
         return self._hold(joints, now_s)
 
@@ -86,7 +81,4 @@ class DeployedArm:
         self._holding = True
         index = [joints.names.index(name) for name in self._names]
         self._limiter.rest(joints, now_s)
-        return JointCommand(names=self._names, position=joints.position[index], duration_s=_HOLD_DURATION_S)
-
-    def _look(self, joints: JointSample) -> Posture:
-        return Posture(pose=self._controller.forward(joints))
+        return JointCommand(names=self._names, position=joints.position[index], duration_s=HOLD_DURATION_S)

@@ -20,9 +20,11 @@ from rn_eval.plan import EvalPlan, Job, with_body
 from rn_eval.policy import Policy, load_backend
 from rn_eval.record import Measured, Outcome, Record
 from rn_eval.suite import Setup
+from rn_execution.adaptive import AdaptiveExecutor
+from rn_execution.mode import Mode, abilities_of
 from roboneuron import BackendSpec, Controller, RoboNeuronError
 from roboneuron.gate.motion import collision_of
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Mode
+from roboneuron.modules.execution import Bounds
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.plugins.discovery import discover
 
@@ -125,16 +127,11 @@ class Runner:
         finally:
             scene.close()
 
-    def _executor(self, execution: str) -> ChunkExecutor:
-        spec, inference = self._spec, self._setup.config.inference
-        abilities = Abilities(
-            conditions_on_rows=spec.conditions_on_rows,
-            max_committed_rows=spec.max_committed_rows,
-            takes_predicted_state=spec.takes_predicted_state,
-        )
+    def _executor(self, execution: str) -> AdaptiveExecutor:
+        inference = self._setup.config.inference
         most_s = inference.max_image_age_s if inference is not None else _DEFAULT_IMAGE_AGE_S
         fixed = None if execution == "auto" else cast("Mode", execution)
-        return ChunkExecutor(abilities, fixed=fixed, bounds=Bounds(first_s=most_s))
+        return AdaptiveExecutor(abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s))
 
     def _policy_of(self, preset: str) -> Policy:
         if self._policy is None or self._preset != preset:

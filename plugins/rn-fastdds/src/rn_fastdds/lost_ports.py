@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from rn_fastdds.dead_ports import release_dead_locks
 from rn_fastdds.port_record import FLAGS, IS_OK, find_record
 from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
+from roboneuron.modules.module_host import ModuleHost
 from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)
@@ -131,6 +132,6 @@ class PortWatch(Periodic):
             log.warning("Port %d had lost its file in shared memory, and was opened again.", port)
 
 
-def watch_ports() -> None:
+def watch_ports(_: ModuleHost) -> None:
     """Look after this process's ports until it ends; every module process calls it once."""
     PortWatch().start()

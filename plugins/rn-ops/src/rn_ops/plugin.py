@@ -17,6 +17,14 @@ CLIENTS = FeatureSpec(
 )
 """Descriptor of the feature that clients hear changes and questions from."""
 
+RECOVERY = FeatureSpec(
+    name="recovery",
+    summary="recover_robot: a person releases a robot that a fault has stopped.",
+    target="rn_ops.recovery:RecoveryFeature",
+    on_join="rn_ops.recovery_parameter:join",
+)
+"""Descriptor of the feature that clears faults of drivers that can (`DriverSpec.recovers`)."""
+
 COMMAND = CommandSpec(
     name="doctor",
     summary="check whether this machine and a configuration are ready",
@@ -28,7 +36,7 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE, CLIENTS)
+    return (FEATURE, CLIENTS, RECOVERY)
 
 
 @hookimpl

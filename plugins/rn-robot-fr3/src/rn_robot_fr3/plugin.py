@@ -1,11 +1,11 @@
-"""What this package offers: the robot "fr3" with its drivers, the cameras of the simulation, and recovery."""
+"""What this package offers: the robot "fr3" with its drivers and the cameras of the simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from rn_robot_fr3.engine import REQUIREMENT
-from roboneuron import CameraSpec, DriverSpec, FeatureSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
+from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
 
 _INSTALL = "pip install ./plugins/rn-interfaces-control ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
 ROS2_CONTROL = Requirement(module="rn_driver_ros2control", install=_INSTALL)
@@ -38,6 +38,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     target="rn_driver_ros2control.driver:Ros2ControlDriver",
                     config="rn_driver_ros2control.options:Ros2ControlOptions",
                     requires=(ROS2_CONTROL, CONTROL_MSGS),
+                    recovers=True,
                 ),
                 DriverSpec(
                     name="fci",
@@ -45,6 +46,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     target="rn_robot_fr3.fci.driver:FciDriver",
                     config="rn_robot_fr3.fci.options:FciDriverOptions",
                     requires=(Requirement(module="franky", install="pip install franky-control"),),
+                    recovers=True,
                 ),
             ),
         )
@@ -64,17 +66,5 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             requires=(REQUIREMENT,),
             robots=("fr3",),
             drivers=("simulated", "fci"),
-        )
-    ]
-
-
-@hookimpl
-def roboneuron_features() -> Sequence[FeatureSpec]:
-    """The tool that recovers an arm from a fault."""
-    return [
-        FeatureSpec(
-            name="recovery",
-            summary="recover_robot: a person releases an arm that a fault has stopped.",
-            target="rn_robot_fr3.recovery:RecoveryFeature",
         )
     ]

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from rn_switching.shadow_controller import ControllerComparison
-from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL, restore
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL
 from roboneuron.contract import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.status import ModuleStatus
@@ -36,6 +36,9 @@ class TimedHandover(Handover):
         status: where to report.
         now_ns: ROS time [ns].
         now_s: monotonic time [s].
+
+    Attributes:
+        moments: the node's parameters and their first values.
     """
 
     def __init__(
@@ -45,7 +48,7 @@ class TimedHandover(Handover):
         now_ns: Callable[[], int] = time.time_ns,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(shadow, status)
+        super().__init__(status)
         self.moments = {ACT_FROM: NEVER_NS if shadow else 0, ACT_UNTIL: 0, PLAY_UNTIL: 0, PLAY_FROM: 0}
         self._now_ns = now_ns
         self._now_s = now_s
@@ -55,17 +58,12 @@ class TimedHandover(Handover):
         self._count = 0
         self._comparison = ControllerComparison(status)
 
-    def set(self, moments: Mapping[str, int]) -> None:
-        """See `Handover.set`."""
-        for name, moment_ns in moments.items():
-            ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
-            is_moment = moment_ns not in (0, NEVER_NS)
-            self._past_s[name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
-            self._moments_ns[name] = moment_ns
-
-    def begin(self) -> None:
-        """Loaded: from now on as urgent as other modules."""
-        restore()
+    def set(self, name: str, moment_ns: int) -> None:
+        """Take over a new value of one of `moments` [ROS time, ns]; 0 or more."""
+        ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
+        is_moment = moment_ns not in (0, NEVER_NS)
+        self._past_s[name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
+        self._moments_ns[name] = moment_ns
 
     def is_shadow(self, stamp_ns: int) -> bool:
         """See `Handover.is_shadow`."""

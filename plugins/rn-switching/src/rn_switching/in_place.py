@@ -6,10 +6,10 @@ from contextlib import suppress
 from dataclasses import replace
 
 from rn_switching.gap import Gap, action_gap
+from rn_switching.standby import ACCELERATION_PARAMETER
 from rn_switching.warm_switch import ARRIVAL_S, Change
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.modules.settings import ACCELERATION_PARAMETER
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.selection import Selection
 from roboneuron.supervisor.health import ModuleView, Report

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from rn_switching.in_place import AccelerationSwitch, differs_in_acceleration_only
-from rn_switching.standby import HANDOVER
+from rn_switching.standby import JOIN
 from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
@@ -49,13 +49,14 @@ class Switched:
 class Switching:
     """Replaces modules and remembers what was there before; usable from any thread.
 
-    Modules that are started before this is made can only be replaced cold: they are not told of `TimedHandover`.
+    Modules that are started before this is made can only be replaced cold: they know of no `TimedHandover`.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
         self._supervisor = loop.supervisor
-        self._supervisor.handover = HANDOVER
+        if JOIN not in self._supervisor.on_join:
+            self._supervisor.on_join += (JOIN,)
         self._before: dict[ModuleKind, Selection] = {}
         self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
 

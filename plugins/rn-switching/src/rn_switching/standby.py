@@ -13,8 +13,10 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-HANDOVER = "rn_switching.handover:TimedHandover"
-"""What every module process is told to use."""
+JOIN = "rn_switching.joining:join"
+"""What every module process is told to call."""
+ACCELERATION_PARAMETER = "acceleration"
+"""ROS parameter of an inference module: name of the acceleration, or empty for none."""
 ACT_FROM = "act_from_ns"
 """ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
 ACT_UNTIL = "act_until_ns"

@@ -8,10 +8,9 @@ numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 from roboneuron.contract.action import (
     ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Action, ActionChunk, apply_delta, check_action_vector,
 )
-from roboneuron.contract.ahead import Ahead
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
-from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron.contract.observation import Ahead, CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
     TWIST_FIELDS, CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile,
     Workspace, check_twist,

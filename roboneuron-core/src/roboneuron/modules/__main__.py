@@ -45,8 +45,6 @@ def _run(settings: ModuleSettings) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.watch_parent(signals.leave)
-    for reference in settings.on_join:
-        _call(reference)
     try:
         is_leaving = False
         while not is_leaving:  # wakes with every turn of the node's loop timer
@@ -61,14 +59,6 @@ def _run(settings: ModuleSettings) -> None:
         node.release()
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _call(reference: str) -> None:
-    """Call what a feature wants called in every process that has joined ROS."""
-    try:
-        load_attribute(reference, "`on_join` of a feature")()  # type: ignore[operator]
-    except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
-        logging.exception("%s cannot be used in this module.", reference)
 
 
 def main() -> None:

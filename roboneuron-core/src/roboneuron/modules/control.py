@@ -19,6 +19,7 @@ from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.settings import FIRST_STEP_S, FUTURE_S, HOLD_DURATION_S, HOLD_SHARE, SHORTEST_STEP_S
 from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import (
@@ -33,10 +34,6 @@ from roboneuron.ros.messages import (
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _POSE_PERIOD_S = 0.02
-_HOLD_DURATION_S = 0.05
-_SHORTEST_STEP_S, _FIRST_STEP_S = 0.02, 0.1
-_FUTURE_S = 0.1
-"""How far the clock of another machine may be ahead of this one."""
 
 
 class ControlModule(Module):
@@ -157,9 +154,9 @@ class ControlModule(Module):
             return "server_silent"
         if age_s > self._limits.action_timeout_s:
             return "stale_action"
-        if age_s < -_FUTURE_S:
+        if age_s < -FUTURE_S:
             return "future_action"
-        if source_ns < self._action_ns <= time.time_ns() + _FUTURE_S * 1e9:  # else the clock was set back since
+        if source_ns < self._action_ns <= time.time_ns() + FUTURE_S * 1e9:  # else the clock was set back since
             return "reordered_action"
         if self._are_joints_stale():
             return "stale_joint_state"
@@ -178,7 +175,7 @@ class ControlModule(Module):
             return
         now_s = time.monotonic()
         since_s = now_s - self._action_s
-        step_s = max(since_s, _SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else _FIRST_STEP_S
+        step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else FIRST_STEP_S
         self._action_ns = source_ns
         answer = self._controller.compute(action, joints, step_s)
         if self.handover.is_shadow(source_ns):
@@ -211,7 +208,7 @@ class ControlModule(Module):
             return
         if self._is_server_silent():
             self._hold("server_silent", f"No sign of life of the server for {self._limits.server_timeout_s:g} s.")
-        elif time.monotonic() - self._action_s > self._limits.action_timeout_s * 0.75:
+        elif time.monotonic() - self._action_s > self._limits.action_timeout_s * HOLD_SHARE:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
         elif self._are_joints_stale():
             self._hold("stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s.")
@@ -260,7 +257,7 @@ class ControlModule(Module):
         self._hold_is_due = False
         index = [joints.names.index(name) for name in self._profile.arm_joints]
         self._send(
-            JointCommand(names=self._profile.arm_joints, position=joints.position[index], duration_s=_HOLD_DURATION_S)
+            JointCommand(names=self._profile.arm_joints, position=joints.position[index], duration_s=HOLD_DURATION_S)
         )
         self._guard.rest(joints, time.monotonic())
 

@@ -7,6 +7,7 @@ import statistics
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
@@ -15,15 +16,24 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from roboneuron.contract import ACTION_SIZE, ActionChunk, AnyRuntime, Backend, CameraProfile, Observation, RobotProfile
+from roboneuron.contract import (
+    ACTION_SIZE,
+    ActionChunk,
+    AnyAcceleration,
+    AnyRuntime,
+    Backend,
+    CameraProfile,
+    Observation,
+    RobotProfile,
+)
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.acceleration import AccelerationInForce
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Prediction, Row, check_mode
+from roboneuron.modules.execution import Bounds, Prediction
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.prediction import prediction_record
+from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.discovery import discover
@@ -53,6 +63,10 @@ class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
     Two threads: one observes and predicts, one plays. `ChunkExecutor` decides when each of them does what.
+
+    Attributes:
+        backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
+        before_prediction: called on the predicting thread between two predictions.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -61,7 +75,7 @@ class InferenceModule(Module):
         config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
-        registry = discover(self.config.disabled_plugins)
+        registry = self._registry = discover(self.config.disabled_plugins)
         plan = check_plan(
             registry,
             robot=robot.name,
@@ -81,20 +95,16 @@ class InferenceModule(Module):
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
             for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
         }
-        self._runtime = cast("AnyRuntime | None", parts["runtime"])
-        self._backend = cast("Backend", build(spec, options, **parts))
-        node.resources.callback(self._backend.close)
+        self.runtime = cast("AnyRuntime | None", parts["runtime"])
+        self.backend = cast("Backend", build(spec, options, **parts))
+        node.resources.callback(self.backend.close)
         started_s = time.monotonic()
-        self._backend.load()
+        self.backend.load()
         self.status.set_value("load_s", time.monotonic() - started_s)
         self.status.set_value("backend", spec.name)
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
-        self._acceleration = AccelerationInForce(
-            node,
-            plan.acceleration.name if plan.acceleration else "",
-            (self._backend, self._runtime),
-            lambda name: build(registry.get(AccelerationSpec, name), self.config.options(name)),
-        )
+        self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self.before_prediction: list[Callable[[], None]] = []
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -108,16 +118,8 @@ class InferenceModule(Module):
         self._subscribe(cameras, with_state=spec.needs_state)
         self._publisher = node.advertise(Float64MultiArray, ACTION)
         self._predictions = node.advertise(String, PREDICTIONS)
-        abilities = Abilities(
-            conditions_on_rows=spec.conditions_on_rows,
-            max_committed_rows=spec.max_committed_rows,
-            takes_predicted_state=spec.takes_predicted_state,
-        )
-        fixed = None if config.execution == "auto" else config.execution
-        if fixed is not None:
-            check_mode(fixed, abilities, spec.name)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self._executor = ChunkExecutor(abilities, fixed=fixed, bounds=bounds)
+        self._executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
         self._has_sent = False
         self._heard_s = 0.0
@@ -150,12 +152,17 @@ class InferenceModule(Module):
         self._not_before_ns = self.node.now_ns()
         self._executor.begin_epoch()
 
+    def build_acceleration(self, name: str) -> AnyAcceleration:
+        """The installed acceleration of that name, with its configured options. Raises as `build`."""
+        spec = self._registry.get(AccelerationSpec, name)
+        return cast("AnyAcceleration", build(spec, self.config.options(name)))
+
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
-        if self._runtime is None:
+        if self.runtime is None:
             return
         try:
-            self._runtime.abort()
+            self.runtime.abort()
         except Exception:  # the module border: silence matters more than what a plugin says about it
             log.exception("the runtime could not give up its prediction")
 
@@ -169,7 +176,8 @@ class InferenceModule(Module):
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""
-        self._acceleration.change_if_asked()
+        for step in self.before_prediction:
+            step()
         if self.node.stopped:
             stop.wait(_WAIT_S)
             return
@@ -225,10 +233,10 @@ class InferenceModule(Module):
         resets = self._instruction.is_new
         if resets:
             self._instruction.is_new = False
-            self._backend.reset()
+            self.backend.reset()
         started_s = time.monotonic()
         try:
-            chunk = self._backend.predict(prediction.observation)
+            chunk = self.backend.predict(prediction.observation)
         except Exception as error:
             self._tell(prediction, resets, error)
             self._executor.drop()  # rows that were planned before must not go on when the newest image is refused
@@ -312,7 +320,7 @@ class InferenceModule(Module):
 
     def _report(self) -> None:
         """Tell how chunks are executed, and the numbers that decided."""
-        for name, value in self._executor.status().to_values().items():
+        for name, value in self._executor.values().items():
             self.status.set_value(f"execution.{name}", value)
 
 

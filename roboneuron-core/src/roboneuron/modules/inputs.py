@@ -21,6 +21,7 @@ from roboneuron.contract import (
     Pose,
 )
 from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron.modules.settings import FUTURE_S
 from roboneuron.modules.status import ModuleStatus
 from roboneuron.ros.messages import (
     frame_from_message,
@@ -31,8 +32,6 @@ from roboneuron.ros.messages import (
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
 
 _HAND_OVER_S = 1e-5
-_FUTURE_NS = 100_000_000
-"""How far the clock of a camera on another machine may be ahead of this one."""
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
@@ -252,7 +251,7 @@ class NewestInputs:
         """Word for what is wrong with a stamp; empty when nothing is."""
         if stamp_ns < now_ns - int(self.max_age_s * 1e9):
             return "old"
-        return "future" if stamp_ns > now_ns + _FUTURE_NS else ""
+        return "future" if stamp_ns > now_ns + int(FUTURE_S * 1e9) else ""
 
     def _refuse(self, what: str, doubt: str) -> None:
         self._status.dropped.add(f"{doubt}_{what}")

@@ -19,11 +19,14 @@ from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
-from roboneuron.modules.handover import Handover, load_handover
+from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
+from roboneuron.modules.handover import Handover
+from roboneuron.modules.module_host import add_parameter, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
+from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
 
@@ -65,9 +68,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
 
     Attributes:
         module: from `configure` to cleanup, else None.
-        resources: what is released at cleanup.
         stopped: whether the emergency stop is latched.
-        handover: which inputs are this module's.
+
+    Implements `ModuleHost`, which describes the other attributes.
     """
 
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
@@ -77,7 +80,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.stopped = False
         self.module: Module | None = None
         self.resources = ExitStack()
-        self.handover = load_handover(self, settings, self.status)
+        self.handover = Handover(self.status)
+        self.make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor] = make_sequential
+        self.on_configured: list[Callable[[Module], None]] = []
         self._kind = kind
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
@@ -92,6 +97,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self._requests = RequestGuard(self, self.status)
+        for reference in settings.on_join:
+            join(self, reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
 
@@ -116,6 +123,12 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Call `callback` with each message until cleanup."""
         self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
 
+    def add_parameter(
+        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
+    ) -> Callable[[], None]:
+        """See `ModuleHost.add_parameter`."""
+        return add_parameter(self, name, value, take, refuse)
+
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period until cleanup."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
@@ -123,14 +136,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         self.status.set_state("configuring")
-        result = self._attempt(self._configure, "inactive", otherwise="unconfigured")
-        if result is TransitionCallbackReturn.FAILURE:
-            return result
-        # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
-        gc.collect()
-        gc.freeze()
-        self.handover.begin()
-        return result
+        return self._attempt(self._configure, "inactive", otherwise="unconfigured")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -190,6 +196,11 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             )
         try:
             self.module = self._kind(self)
+            # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
+            gc.collect()
+            gc.freeze()
+            for extend in self.on_configured:
+                extend(self.module)
         except Exception:
             try:
                 self._release()

@@ -8,10 +8,10 @@ from time import time_ns
 from typing import Any
 
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import Controller, Hold, JointCommand, JointSample, Posture, PostureInspector, RobotProfile
+from roboneuron.contract import Controller, Hold, JointCommand, JointSample, PostureInspector, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord
-from roboneuron.gate.motion import Motion, MotionLimiter, Verdict, motion_rules
+from roboneuron.gate.motion import Motion, MotionLimiter, Verdict, inspector_of, motion_rules
 from roboneuron.modules.status import ModuleStatus
 
 _RECORD_PERIOD_S = 1.0
@@ -38,17 +38,15 @@ class MotionGuard:
         immediate: bool,
         longest_s: float,
     ) -> None:
-        inspect = controller.inspect if isinstance(controller, PostureInspector) else self._look
         is_checked = profile.collision is None or isinstance(controller, PostureInspector)
         if not is_checked:
             log.warning("The controller tells no distances: collisions of %s are not checked.", profile.name)
         status.set_value("collision_checked", is_checked and profile.collision is not None)
-        self._controller = controller
         self._limiter = MotionLimiter(
             motion_rules(limits, profile),
             profile,
             controller.forward,
-            inspect,
+            inspector_of(controller),
             immediate=immediate,
             longest_s=longest_s,
         )
@@ -92,9 +90,6 @@ class MotionGuard:
     def close(self) -> None:
         """Close the audit."""
         self._audit.close()
-
-    def _look(self, joints: JointSample) -> Posture:
-        return Posture(pose=self._controller.forward(joints))
 
     def _report(self, word: str, motion: Motion | None) -> None:
         if motion is None:

@@ -80,8 +80,13 @@ class StatusReport:
         )
 
     def failure(self) -> RoboNeuronError | None:
-        """The module's newest error as an exception of its own class, or None when it works."""
-        return to_error(self.error_code, self.error, self.error_hint) if self.error_code else None
+        """The module's newest error as an exception of its own class, InternalError for a code that is not known here.
+
+        None when it works.
+        """
+        if not self.error_code:
+            return None
+        return _subclasses(RoboNeuronError).get(self.error_code, InternalError)(self.error, hint=self.error_hint)
 
 
 def to_text(value: str | float | int | bool) -> str:
@@ -89,11 +94,6 @@ def to_text(value: str | float | int | bool) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def to_error(code: str, message: str, hint: str = "") -> RoboNeuronError:
-    """The exception that `code` names; InternalError for a code nobody knows."""
-    return _subclasses(RoboNeuronError).get(code, InternalError)(message, hint=hint)
 
 
 def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]:

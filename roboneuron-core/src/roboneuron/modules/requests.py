@@ -55,6 +55,12 @@ def _digest_of_messages(parameters: Sequence[ParameterMessage]) -> bytes:
         return b""
 
 
+def parameters_request(values: Mapping[str, str | int]) -> SetParameters.Request:
+    """The request itself."""
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    return SetParameters.Request(parameters=parameters)
+
+
 def _digest(content: object) -> bytes:
     text = json.dumps(content, sort_keys=True, default=repr)
     return hashlib.sha256(text.encode()).hexdigest().encode()

@@ -9,11 +9,11 @@ from typing import Any, cast
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import JointCommand, RecoverableDriver, RobotDriver
+from roboneuron.contract import JointCommand, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.recovery import Recovery
+from roboneuron.modules.settings import FUTURE_S
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import RobotSpec
@@ -23,12 +23,14 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
 _WATCH_S = 0.1
-_FUTURE_S = 0.1
-"""How far the clock of another machine may be ahead of this one: what a wrong clock sends cannot be told from old."""
 
 
 class RobotModule(Module):
-    """Two threads beside the executor: one publishes measured states, one plays trajectories point by point."""
+    """Two threads beside the executor: one publishes measured states, one plays trajectories point by point.
+
+    Attributes:
+        driver: what moves the robot; open.
+    """
 
     def __init__(self, node: ModuleNode) -> None:
         """Connect to the robot or start the simulation; it holds where it is."""
@@ -53,11 +55,9 @@ class RobotModule(Module):
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)
-        self._driver = cast("RobotDriver", build(spec, options, profile, self._topics))
-        node.resources.callback(self._driver.close)
-        self._driver.open()
-        if isinstance(self._driver, RecoverableDriver):
-            Recovery(node, self._driver)
+        self.driver = cast("RobotDriver", build(spec, options, profile, self._topics))
+        node.resources.callback(self.driver.close)
+        self.driver.open()
         self._states = node.advertise(JointState, JOINT_STATES)
         node.subscribe(JointTrajectory, JOINT_TRAJECTORY, self._on_command)
         node.subscribe(JointState, JOINT_COMMAND, self._on_command)
@@ -81,7 +81,7 @@ class RobotModule(Module):
         self._active = False
         self._drop()
         player_ended = self._player.stop()
-        self._driver.hold()
+        self.driver.hold()
         if not (self._reader.stop() and player_ended):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
@@ -108,7 +108,7 @@ class RobotModule(Module):
 
     def _drop_and_hold(self) -> None:
         self._drop()
-        self._driver.hold()
+        self.driver.hold()
 
     def _drop(self) -> None:
         with self._arrived:
@@ -135,7 +135,7 @@ class RobotModule(Module):
             self.status.dropped.add(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
-        if age_s > self.config.robot.command_timeout_s or age_s < -_FUTURE_S:
+        if age_s > self.config.robot.command_timeout_s or age_s < -FUTURE_S:
             self.status.dropped.add("stale_command" if age_s > 0 else "future_command")
             return False
         self.status.latency.add(age_s * 1e3)
@@ -152,13 +152,13 @@ class RobotModule(Module):
             plan = self._pending
             command = plan.pop(0)
         try:
-            sent = self._driver.send(command)
+            sent = self.driver.send(command)
         except RoboNeuronError as error:
             self.status.dropped.add("refused_command")
             self.status.set_error(error)
             return
         if self._must_hold():  # since it was taken: the hold of that came before the command
-            self._driver.hold()
+            self.driver.hold()
             return
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
@@ -171,7 +171,7 @@ class RobotModule(Module):
 
     def _hold_when_silent(self) -> None:
         if self._moving and time.monotonic() - self._command_s > self.config.robot.command_timeout_s:
-            self._driver.hold()
+            self.driver.hold()
             self._moving = False
             self.status.set(note="holding: no command")
 
@@ -182,7 +182,7 @@ class RobotModule(Module):
         self._next_state_s = max(self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05)
         if stop.is_set():
             return
-        state = self._driver.read()
+        state = self.driver.read()
         self._states.publish(to_joint_state(state.joints))
         self.status.output.tick()
         self.status.set_ready()

@@ -27,8 +27,7 @@ class ModuleSettings(BaseModel):
         node_name: name of its ROS node under the robot's namespace; the kind unless several run side by side.
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
-        on_join: "module:attribute" of functions that features want called once ROS is joined.
-        handover: "module:attribute" of the `Handover` of a feature that replaces modules.
+        on_join: "module:attribute" of functions that features want called with the module's node (`ModuleHost`).
         shadow: work on live inputs without publishing until the handover, see `Handover`.
     """
 
@@ -40,7 +39,6 @@ class ModuleSettings(BaseModel):
     state_directory: str
     shadow: bool = False
     on_join: tuple[str, ...] = ()
-    handover: str | None = None
 
     @property
     def status_name(self) -> str:
@@ -50,13 +48,18 @@ class ModuleSettings(BaseModel):
 
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
-ACCELERATION_PARAMETER = "acceleration"
-"""Likewise the acceleration, where what executes the model can change it."""
-RECOVER_PARAMETER = "recover"
-"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""
 FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False releases."""
+FUTURE_S = 0.1
+"""How far the clock of another machine may be ahead of this one."""
+SHORTEST_STEP_S, FIRST_STEP_S = 0.02, 0.1
+"""Time that control gives the arm for an action: that since the one before, at least the first; the second one for an
+action after a pause."""
+HOLD_SHARE = 0.75
+"""Control holds after this share of `action_timeout_s`, so that the arm stands within all of it."""
+HOLD_DURATION_S = 0.05
+"""Time that a hold gives the joints to be where they were measured."""
 STATUS_PERIOD_S = 0.2
 """Every module reports on /diagnostics at least this often, and at once after a change."""

@@ -194,6 +194,7 @@ class DriverSpec:
         target: "module:attribute" of the RobotDriver class.
         config: "module:attribute" of its pydantic options model, or None.
         requires: modules it needs beyond the robot package's own.
+        recovers: it can clear a fault that has stopped the robot, by a method `recover`; see rn-ops.
     """
 
     name: str
@@ -201,6 +202,7 @@ class DriverSpec:
     target: str
     config: str | None = None
     requires: tuple[Requirement, ...] = ()
+    recovers: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -238,8 +240,8 @@ class FeatureSpec(Spec):
             also holds a hook specification (`hookspec`) of each of these names. Imported while plugins are
             discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
-        on_join: "module:attribute" of a function without arguments that every module process calls once it has joined
-            ROS; None for none. In the server, `start` is the place for that.
+        on_join: "module:attribute" of a function that every module process calls with its `ModuleHost` once it has
+            joined ROS; None for none. In the server, `start` is the place for that.
         fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
             and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
         switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`, NAME being the

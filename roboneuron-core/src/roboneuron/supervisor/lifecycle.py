@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from roboneuron.errors import NotReadyError
 from roboneuron.supervisor.changes import Changes
@@ -122,18 +122,6 @@ def _made(calls: Sequence[Call]) -> bool | None:
     return any(answers) if answers else None
 
 
-def _request(values: Mapping[str, str | int]) -> Any:
-    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # heavy
-    from rcl_interfaces.srv import SetParameters  # heavy
-
-    def value(of: str | int) -> Any:
-        if isinstance(of, str):
-            return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=of)
-        return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=int(of))
-
-    return SetParameters.Request(parameters=[Parameter(name=name, value=value(of)) for name, of in values.items()])
-
-
 class ParameterClient:
     """Sets parameters of one node.
 
@@ -167,10 +155,11 @@ class ParameterClient:
         """Request the change without waiting for the answer."""
         from rcl_interfaces.srv import SetParameters  # heavy
 
-        from roboneuron.modules.requests import digest_of_parameters  # heavy
+        from roboneuron.modules.requests import digest_of_parameters, parameters_request  # heavy
 
         self._announce(digest_of_parameters(values))
-        return self._link.call(SetParameters, f"{self._node}/set_parameters", _request(values), self._changes.notify)
+        request = parameters_request(values)
+        return self._link.call(SetParameters, f"{self._node}/set_parameters", request, self._changes.notify)
 
     def finish(self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
         """Wait for the answer; returns why the node refused, empty when it took the values.

@@ -45,8 +45,7 @@ class Supervisor:
         observers: told of every module process.
         changes: told of all that happens to modules; its lock guards `slots`.
         slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
-        on_join: what modules call once they have joined ROS, as "module:attribute".
-        handover: class of a feature that replaces modules, as "module:attribute"; see `Handover`.
+        on_join: functions of features that modules call with their node, as "module:attribute"; see `ModuleHost`.
         secret_variables: environment variables that modules do not get.
     """
 
@@ -61,7 +60,6 @@ class Supervisor:
         self.state_directory = state_directory
         self.changes = Changes()
         self.on_join: tuple[str, ...] = ()
-        self.handover: str | None = None
         self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes, connect)
         self.log_directory = self._launcher.log_directory
         self.observers = self._launcher.observers
@@ -129,7 +127,6 @@ class Supervisor:
                 state_directory=str(self.state_directory),
                 shadow=beside is not None,
                 on_join=self.on_join,
-                handover=self.handover,
             )
             slot.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
         self._launcher.bring_up(slot, settings, python, on_stage, lambda: self._absent(kind, plan))

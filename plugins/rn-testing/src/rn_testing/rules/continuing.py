@@ -51,7 +51,7 @@ class ContinuingRules:
                 "rows-kept",
                 "A backend that declares `conditions_on_rows` keeps the committed rows within its case's "
                 "`row_tolerance`, and says so in `conditioned_rows`.",
-                "roboneuron.contract.ahead.Ahead",
+                "roboneuron.contract.observation.Ahead",
                 self._check_rows_kept,
             ),
             self.rule(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from roboneuron.gate.motion.command import Verdict
 from roboneuron.gate.motion.limiter import MotionLimiter
 from roboneuron.gate.motion.path import Leg, LimitError, PathLimiter
-from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, collision_of, motion_rules
+from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, collision_of, inspector_of, motion_rules
 from roboneuron.gate.motion.task_space import Motion
 
 __all__ = [
@@ -19,5 +19,6 @@ __all__ = [
     "Verdict",
     "Zone",
     "collision_of",
+    "inspector_of",
     "motion_rules",
 ]

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roboneuron.config import LimitsConfig, Reaction
-from roboneuron.contract import CollisionProfile, Obstacle, RobotProfile
+from roboneuron.contract import (
+    CollisionProfile,
+    Controller,
+    JointSample,
+    Obstacle,
+    Posture,
+    PostureInspector,
+    RobotProfile,
+)
 from roboneuron.errors import ConfigurationError
 
 F64 = NDArray[np.float64]
@@ -122,6 +130,13 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
         obstacles = tuple(Obstacle(name=b.name, lower_m=b.lower_m, upper_m=b.upper_m) for b in boxes)
         made = replace(made, obstacles=obstacles)
     return made
+
+
+def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
+    """What tells the postures of a controller's arm: all that it can say, at the least the pose of the TCP."""
+    if isinstance(controller, PostureInspector):
+        return controller.inspect
+    return lambda joints: Posture(pose=controller.forward(joints))
 
 
 def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Zone:

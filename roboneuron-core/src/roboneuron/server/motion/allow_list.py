@@ -9,10 +9,10 @@ from functools import partial
 from typing import cast
 
 from roboneuron.config import Config, LimitsConfig
-from roboneuron.contract import Controller, JointSample, Posture, PostureInspector, RobotProfile
+from roboneuron.contract import Controller, JointSample, Posture, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
-from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, collision_of, motion_rules
+from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, collision_of, inspector_of, motion_rules
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.events import Event
@@ -84,9 +84,7 @@ class ArmPaths:
         spec = self._registry().get("controller", name)
         controller = cast("Controller", build(spec, self._config.options(name), limited))
         controller.load()
-        if isinstance(controller, PostureInspector):
-            return controller, controller.inspect, limited
-        return controller, lambda joints: Posture(pose=controller.forward(joints)), limited
+        return controller, inspector_of(controller), limited
 
     def _limits(self, robot: str) -> LimitsConfig:
         return self._config.limits if robot == self._config.robot.name else LimitsConfig()

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rn_execution.roll_forward import roll_forward
 from rn_testing.chunk_merging import AGGREGATIONS, aggregate, state_of_running_chunk, temporal_ensemble
 from roboneuron.contract import Pose
-from roboneuron.modules.execution import roll_forward
 
 GOLDEN = np.load(Path(__file__).parent / "data" / "chunk_execution.npz")
 ROWS = 6

@@ -6,12 +6,12 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import ActionChunk, Ahead
+from roboneuron.modules.row_queue import Outcome, Row, RowQueue, rows_of
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
@@ -19,29 +19,6 @@ FADE_ROWS = 4
 docs/execution.md)."""
 _MEMORY = 512
 """Sent rows that are remembered; an answer that is older is dropped by its image's age long before."""
-Outcome = Literal["accepted", "withdrawn", "late", "unconditioned"]
-"""What became of an answer. `withdrawn`: made for an earlier instruction or before a stop. `late`: more rows were sent
-since its image than it has. `unconditioned`: it continues rows that were not played as promised (trained prefixes)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One action of a chunk.
-
-    Attributes:
-        vector: float64 (7,), contract units.
-        index, horizon: place in its chunk, and rows of that chunk.
-        oldest_ns: capture time of the oldest image that it answers [ns].
-        step_s: period of its chunk [s].
-        is_border: the first of its chunk that is played.
-    """
-
-    vector: F64
-    index: int
-    horizon: int
-    oldest_ns: int
-    step_s: float
-    is_border: bool
 
 
 @dataclass(slots=True)
@@ -51,55 +28,30 @@ class _Sent:
     vector: F64
 
 
-@dataclass(slots=True)
-class RowQueue:
-    """The rows to be sent, oldest first. Not thread-safe: its owner holds a lock.
+@dataclass
+class SentRowQueue(RowQueue):
+    """A queue that remembers what was sent, so that a newer answer can take over in the middle of a chunk.
 
-    Every instruction, emergency stop and hand-over begins a new epoch. Answers to observations of an earlier epoch are
-    dropped, and rows of an earlier one do not count as played.
+    Rows of an earlier epoch do not count as played.
 
     Attributes:
-        epoch: of the observations that are taken now.
         fade_rows: length of the cross-fade.
     """
 
     fade_rows: int = FADE_ROWS
-    epoch: int = 0
-    _rows: deque[Row] = field(default_factory=deque)
     _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
-    _context: Any = None
     _was_unconditioned: bool = False
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @property
-    def next(self) -> Row | None:
-        """The row that is sent next."""
-        return self._rows[0] if self._rows else None
-
-    def begin_epoch(self) -> int:
-        """Forget every row, and every answer under way."""
-        self.epoch += 1
-        self.drop()
-        return self.epoch
-
-    def drop(self) -> None:
-        """Forget the rows that are to be sent; answers under way stay valid."""
-        self._rows.clear()
-        self._context = None
-
     def pop(self, sent_ns: int) -> Row:
-        """Take the next row out, as sent at that time [ns, clock of the stamps]."""
-        row = self._rows.popleft()
+        """As RowQueue."""
+        row = super().pop(sent_ns)
         self._sent.append(_Sent(sent_ns, self.epoch, row.vector))
         return row
 
     def note_sent(self, vector: F64, sent_ns: int) -> None:
-        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of our next one."""
+        """As RowQueue."""
         self._sent.append(_Sent(sent_ns, self.epoch, vector))
-        if self._rows:
-            self._rows.popleft()
+        super().note_sent(vector, sent_ns)
 
     def sent_since(self, captured_ns: int) -> int:
         """Rows of this epoch that were sent after that time."""
@@ -173,15 +125,7 @@ class RowQueue:
         if not chunk.conditioned_rows or is_overrun:
             fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
             vectors = cross_fade([row.vector for row in self._rows], vectors, fade_rows)
-        self._rows = deque(_rows(vectors, chunk, oldest_ns, first=played))
-        self._context = chunk.context
-        return "accepted"
-
-    def append(self, chunk: ActionChunk, epoch: int, *, oldest_ns: int = 0) -> Outcome:
-        """Let an answer follow whole after the rows that are there; arguments as for `replace`."""
-        if epoch != self.epoch:
-            return "withdrawn"
-        self._rows.extend(_rows(chunk.actions, chunk, oldest_ns, first=0))
+        self._rows = deque(rows_of(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
 
@@ -216,10 +160,3 @@ def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
     before = np.stack(list(islice(old, count)))
     faded[:count, :6] = (1.0 - share) * before[:, :6] + share * new[:count, :6]
     return faded
-
-
-def _rows(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:
-    return [
-        Row(vector, first + i, len(chunk.actions), oldest_ns, chunk.step_s, is_border=i == 0)
-        for i, vector in enumerate(vectors)
-    ]

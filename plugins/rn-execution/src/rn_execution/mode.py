@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from rn_execution.latency import LatencyWindow, rows_in
+from roboneuron import BackendSpec
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.execution.latency import LatencyWindow, rows_in
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
 """`sequential`: predict, play the chunk, predict again.
@@ -32,6 +33,15 @@ class Abilities:
     conditions_on_rows: bool = False
     max_committed_rows: int = 0
     takes_predicted_state: bool = False
+
+
+def abilities_of(backend: BackendSpec) -> Abilities:
+    """What that backend's descriptor declares."""
+    return Abilities(
+        conditions_on_rows=backend.conditions_on_rows,
+        max_committed_rows=backend.max_committed_rows,
+        takes_predicted_state=backend.takes_predicted_state,
+    )
 
 
 @dataclass(frozen=True, slots=True)

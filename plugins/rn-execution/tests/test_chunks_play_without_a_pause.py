@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rn_testing.virtual_cell import Trial, run
-from roboneuron.modules.execution import Abilities
+from rn_execution.mode import Abilities
+from rn_execution.virtual_cell import Trial, run
 
 CONDITIONED = Abilities(conditions_on_rows=True)
 IN_TIME = [(8, 0.05), (8, 0.112), (16, 0.05), (16, 0.112), (16, 0.25)]

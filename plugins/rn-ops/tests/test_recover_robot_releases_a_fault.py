@@ -17,8 +17,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
-from rn_ops.plugin import CLIENTS
-from rn_robot_fr3.plugin import roboneuron_features
+from rn_ops.plugin import CLIENTS, RECOVERY
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
@@ -50,7 +49,8 @@ class Faulty(FakeDriver):
         return fault
 
 SPEC = RobotSpec(name="arm", summary="Has faults.", target="rn_testing.fakes.robot:gantry_profile",
-                 drivers=(DriverSpec(name="fci", summary="Has faults.", target="rn_faulty_plugin:Faulty"),
+                 drivers=(DriverSpec(name="faulty", summary="Has faults.", target="rn_faulty_plugin:Faulty",
+                                     recovers=True),
                           DriverSpec(name="sound", summary="Has none.", target="rn_testing.fakes.robot:FakeDriver")))
 
 @hookimpl
@@ -60,7 +60,8 @@ def roboneuron_robots():
 
 
 DRIVERS = tuple(
-    DriverSpec(name=name, summary="For tests.", target="rn_faulty_plugin:Faulty") for name in ("fci", "sound")
+    DriverSpec(name=name, summary="For tests.", target="rn_faulty_plugin:Faulty", recovers=recovers)
+    for name, recovers in (("faulty", True), ("sound", False))
 )
 ARM = RobotSpec(name="arm", summary="Has faults.", target="rn_testing.fakes.robot:gantry_profile", drivers=DRIVERS)
 
@@ -100,7 +101,7 @@ class Served:
 
 
 def application(folder: Path, driver: str) -> Application:
-    registry = fake_registry(ARM, CLIENTS, *roboneuron_features())
+    registry = fake_registry(ARM, CLIENTS, RECOVERY)
     config = parse_config(f'[robot]\nname = "arm"\ndriver = "{driver}"\n')
     catalogue = PluginCatalogue(discover=lambda disabled: registry)
     return Application(config, plugins=catalogue, supervisor=Supervisor(folder))
@@ -116,7 +117,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         patch.setenv("PYTHONPATH", str(site))
         patch.setenv("FAULT_FOR_TESTS", str(fault))
         patch.setenv("ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or str(free_ros_domain()))
-        made = application(folder / "state", "fci")
+        made = application(folder / "state", "faulty")
         try:
             made.supervisor.start("robot", made.loop.config)
             yield Served(application=made, fault=fault, audit=folder / "state" / "audit.jsonl")

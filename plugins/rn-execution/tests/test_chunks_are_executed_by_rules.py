@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rn_execution.adaptive import AdaptiveExecutor
+from rn_execution.latency import LatencyWindow
+from rn_execution.mode import Abilities, ModeSelector, choose
+from rn_execution.queue import SentRowQueue, cross_fade
 from roboneuron.contract import ActionChunk, Frame, Observation, Pose
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, LatencyWindow, RowQueue, cross_fade
-from roboneuron.modules.execution.mode import ModeSelector, choose
+from roboneuron.modules.execution import Bounds
 
 STEP_S = 0.05
 STEP_NS = round(STEP_S * 1e9)
@@ -22,7 +25,7 @@ def chunk(rows: int, first_m: float = 0.0, *, conditioned_rows: int = 0) -> Acti
     return ActionChunk(actions=actions, step_s=STEP_S, context=first_m, conditioned_rows=conditioned_rows)
 
 
-def send(queue: RowQueue, times: int, at_ns: int = 0) -> int:
+def send(queue: SentRowQueue, times: int, at_ns: int = 0) -> int:
     for _ in range(times):
         queue.pop(at_ns)
         at_ns += STEP_NS
@@ -40,7 +43,7 @@ def observation(captured_ns: int) -> Observation:
 
 
 def test_an_answer_replaces_the_queue_from_the_row_that_is_next() -> None:
-    queue = RowQueue(fade_rows=0)
+    queue = SentRowQueue(fade_rows=0)
     queue.replace(chunk(8), 0, queue.epoch)
     now_ns = send(queue, 2)
     captured_ns = now_ns - 1
@@ -53,7 +56,7 @@ def test_an_answer_replaces_the_queue_from_the_row_that_is_next() -> None:
 
 def test_rows_are_counted_not_timed() -> None:
     """An answer after five periods in which nothing was sent starts with its first row."""
-    queue = RowQueue()
+    queue = SentRowQueue()
     assert queue.replace(chunk(8), 0, queue.epoch) == "accepted"
     send(queue, 8)
     captured_ns = 100 * STEP_NS
@@ -63,7 +66,7 @@ def test_rows_are_counted_not_timed() -> None:
 
 
 def test_an_answer_without_a_row_in_time_is_late() -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     queue.append(chunk(8), queue.epoch)
     send(queue, 4)
     assert queue.replace(chunk(4), 0, queue.epoch) == "late"
@@ -71,7 +74,7 @@ def test_an_answer_without_a_row_in_time_is_late() -> None:
 
 
 def test_rows_of_a_predecessor_count() -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     queue.note_sent(np.zeros(7), 10)
     queue.note_sent(np.zeros(7), 20)
     queue.replace(chunk(8), 15, queue.epoch)
@@ -80,7 +83,7 @@ def test_rows_of_a_predecessor_count() -> None:
 
 
 def test_an_epoch_ends_rows_and_answers() -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     epoch = queue.epoch
     queue.append(chunk(8), epoch)
     send(queue, 2)
@@ -92,7 +95,7 @@ def test_an_epoch_ends_rows_and_answers() -> None:
 
 
 def test_a_trained_prefix_that_was_overrun_is_left_out_once_then_faded() -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     queue.append(chunk(16), queue.epoch)
     send(queue, 5)
     late = chunk(16, 1.0, conditioned_rows=3)
@@ -103,7 +106,7 @@ def test_a_trained_prefix_that_was_overrun_is_left_out_once_then_faded() -> None
 
 
 def test_a_conditioned_answer_is_not_faded() -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     queue.append(chunk(16), queue.epoch)
     send(queue, 2)
     queue.replace(chunk(16, 1.0, conditioned_rows=4), 0, queue.epoch)
@@ -121,7 +124,7 @@ def test_deltas_are_faded_and_the_gripper_is_not() -> None:
 
 @pytest.mark.parametrize(("horizon", "faded"), [(4, 0), (5, 1), (6, 2), (8, 4), (16, 4)])
 def test_a_fade_leaves_most_of_a_short_chunk_as_it_was_predicted(horizon: int, faded: int) -> None:
-    queue = RowQueue()
+    queue = SentRowQueue()
     queue.replace(chunk(horizon), 0, queue.epoch)
     queue.replace(chunk(horizon, 1.0), 0, queue.epoch)
     played = [queue.pop(0).vector[0] for _ in range(horizon)]
@@ -131,7 +134,7 @@ def test_a_fade_leaves_most_of_a_short_chunk_as_it_was_predicted(horizon: int, f
 @pytest.mark.parametrize(("horizon", "played"), [(4, 3), (5, 3), (6, 3), (8, 3), (16, 11)])
 def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(horizon: int, played: int) -> None:
     """With answers at once a new chunk is asked for when one row is left, and those to be faded."""
-    made = ChunkExecutor(Abilities(), fixed="overlap", bounds=Bounds(first_s=9.0))
+    made = AdaptiveExecutor(Abilities(), fixed="overlap", bounds=Bounds(first_s=9.0))
     made.answer(made.begin(observation(0), 0), chunk(horizon), now_ns=0)
     sent = 0
     while not made.wants_prediction(sent * STEP_S):
@@ -141,7 +144,7 @@ def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(horizon: int
 
 
 def test_ahead_holds_what_was_sent_since_the_capture_and_what_is_planned() -> None:
-    queue = RowQueue(fade_rows=0)
+    queue = SentRowQueue(fade_rows=0)
     queue.append(chunk(8, 0.5), queue.epoch)
     now_ns = send(queue, 3)
     ahead = queue.ahead(now_ns - STEP_NS, 4, STEP_S)
@@ -208,9 +211,9 @@ def test_the_first_answer_after_a_reset_does_not_count() -> None:
     assert latency.p99_s == pytest.approx(0.1)
 
 
-def executor(**options: object) -> ChunkExecutor:
+def executor(**options: object) -> AdaptiveExecutor:
     bounds = Bounds(first_s=0.5)
-    return ChunkExecutor(Abilities(), fixed=None, bounds=bounds, **options)  # type: ignore[arg-type]
+    return AdaptiveExecutor(Abilities(), fixed=None, bounds=bounds, **options)  # type: ignore[arg-type]
 
 
 def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:
@@ -223,7 +226,7 @@ def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:
 
 
 def test_the_tail_of_a_chunk_has_a_bound_of_its_own() -> None:
-    made = ChunkExecutor(Abilities(), fixed="sequential", bounds=Bounds(first_s=0.5, tail_s=0.6))
+    made = AdaptiveExecutor(Abilities(), fixed="sequential", bounds=Bounds(first_s=0.5, tail_s=0.6))
     made.answer(made.begin(observation(0), 0), chunk(8), now_ns=int(0.4e9))
     for at_s in (0.45, 0.51, 0.57):
         assert made.play(at_s, int(at_s * 1e9)) is not None
@@ -246,7 +249,7 @@ def test_rows_keep_their_period() -> None:
 
 def test_the_state_is_measured_unless_the_backend_takes_a_predicted_one() -> None:
     able = Abilities(takes_predicted_state=True)
-    made = ChunkExecutor(able, fixed="predicted-state", bounds=Bounds(first_s=0.5))
+    made = AdaptiveExecutor(able, fixed="predicted-state", bounds=Bounds(first_s=0.5))
     made.answer(made.begin(observation(0), 0), chunk(4, 0.01), now_ns=0)
     made.play(0.0, 0)
     rolled = made.begin(observation(1), 1).observation

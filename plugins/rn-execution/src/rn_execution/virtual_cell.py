@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_execution.adaptive import AdaptiveExecutor
+from rn_execution.meter import Delivery
+from rn_execution.mode import Abilities, Mode
 from roboneuron.contract import ActionChunk, Ahead, Frame, Observation, Pose
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.execution import Abilities, Bounds, ChunkExecutor, Delivery, Mode, Prediction
+from roboneuron.modules.execution import Bounds, Prediction
 
 F64 = NDArray[np.float64]
 _CAMERA_HZ = 30.0
@@ -132,7 +135,7 @@ class _Cell:
 
 def run(trial: Trial) -> Outcomes:
     """Run one trial; the same trial gives the same outcome."""
-    executor = ChunkExecutor(trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0))
+    executor = AdaptiveExecutor(trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0))
     random = np.random.default_rng(trial.seed)
     cell = _Cell(Follower(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random))
     executor.begin_epoch()

@@ -8,16 +8,15 @@ from typing import Any
 
 from pydantic import Field
 
-from roboneuron import CallContext, Host, NoArguments, Result, Tool
+from rn_ops.recovery_parameter import RECOVER_PARAMETER
+from roboneuron import CallContext, Host, NoArguments, Result, RobotSpec, Tool
 from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.gate.request import OPERATOR
-from roboneuron.modules.settings import RECOVER_PARAMETER
 from roboneuron.server.feature import Feature
 
 _SET_S = 5.0
 _DONE_S = 20.0
-_DRIVERS = ("fci", "ros2-control")
 
 
 class RecoveryResult(Result):
@@ -33,7 +32,9 @@ class RecoveryFeature(Feature[None]):
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """See `Feature.tools`."""
-        return (_tool(host),) if host.config.robot.driver in _DRIVERS else ()
+        robot = host.registry.specs(RobotSpec).get(host.config.robot.name)
+        driver = None if robot is None else robot.driver(host.config.robot.driver)
+        return (_tool(host),) if driver is not None and driver.recovers else ()
 
 
 def _tool(host: Host) -> Tool[Any]:

@@ -1,0 +1,71 @@
+"""The acceleration of an inference module: a ROS parameter, so that it changes without reading the model again."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from rn_switching.standby import ACCELERATION_PARAMETER
+from roboneuron.contract import AccelerationChanger
+from roboneuron.errors import RoboNeuronError
+from roboneuron.modules.inference import InferenceModule
+from roboneuron.modules.module_host import ModuleHost
+
+log = logging.getLogger(__name__)
+
+
+class AccelerationInForce:
+    """The preset that is in force, and the one that was asked for.
+
+    The status tells whether it can be changed (`acceleration_in_place`), and after each request `acceleration`,
+    `acceleration_answers`, `acceleration_refused` (the reason, empty when done) and `acceleration_changed_ns`.
+    """
+
+    def __init__(self, host: ModuleHost, module: InferenceModule) -> None:
+        """Args:
+        host: gets the parameter.
+        module: its backend or its runtime, the first that can, changes the preset.
+        """
+        self._status = host.status
+        self._make = module.build_acceleration
+        parts: tuple[object, ...] = (module.backend, module.runtime)
+        self._changer: AccelerationChanger[Any] | None = next(
+            (part for part in parts if isinstance(part, AccelerationChanger)), None
+        )
+        config = module.config.inference
+        self._name = (config.acceleration if config is not None else None) or ""
+        self._request = (0, self._name)
+        self._answered = 0
+        self._status.set_value("acceleration_in_place", self._changer is not None)
+        host.resources.callback(host.add_parameter(ACCELERATION_PARAMETER, self._name, self._take, self._refusal))
+        module.before_prediction.append(self._change_if_asked)
+
+    def _change_if_asked(self) -> None:
+        """Put what was asked for into force; between two predictions, on the thread that predicts."""
+        count, name = self._request
+        if count == self._answered or self._changer is None:
+            return
+        refused = ""
+        try:
+            if name != self._name:
+                self._changer.set_acceleration(self._make(name) if name else None)
+        except RoboNeuronError as error:
+            refused = str(error)
+        except Exception as error:  # the module border: plugins may raise anything
+            log.exception("the acceleration could not be changed")
+            refused = f"{type(error).__name__}: {error}"
+        else:
+            self._name = name
+        self._answered = count
+        self._status.set_value("acceleration", self._name)
+        self._status.set_value("acceleration_refused", refused)
+        self._status.set_value("acceleration_changed_ns", time.time_ns())
+        self._status.set_value("acceleration_answers", count)
+        self._status.changed.set()
+
+    def _refusal(self, _: str) -> str:
+        return "" if self._changer is not None else "the acceleration cannot be changed while the model is loaded"
+
+    def _take(self, name: str) -> None:
+        self._request = (self._request[0] + 1, name)

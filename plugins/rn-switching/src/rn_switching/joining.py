@@ -1,0 +1,30 @@
+"""What a module process needs so that its module can be replaced; called in every one of them."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from rn_switching.acceleration import AccelerationInForce
+from rn_switching.handover import TimedHandover
+from rn_switching.standby import restore
+from roboneuron.modules.inference import InferenceModule
+from roboneuron.modules.module import Module
+from roboneuron.modules.module_host import ModuleHost
+
+
+def join(host: ModuleHost) -> None:
+    """Let the server tell the moments of a handover, and another acceleration; see `FeatureSpec.on_join`."""
+    handover = host.handover = TimedHandover(host.settings.shadow, host.status)
+    for name, moment_ns in handover.moments.items():
+        host.add_parameter(name, moment_ns, partial(handover.set, name), _refusal)
+    host.on_configured.append(partial(_extend, host))
+
+
+def _extend(host: ModuleHost, module: Module) -> None:
+    if isinstance(module, InferenceModule):
+        AccelerationInForce(host, module)
+    restore()  # loaded: from now on as urgent as other modules
+
+
+def _refusal(moment_ns: int) -> str:
+    return "it must be a ROS time in nanoseconds" if moment_ns < 0 else ""
