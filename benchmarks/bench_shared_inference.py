@@ -37,6 +37,8 @@ from roboneuron import NotReadyError, Observation
 LEAST_RATIO, MOST_DIFFERENCE, DEADLINE_FORWARDS = 3.0, 1e-5, 12.0
 LEAST_DEADLINE_S, FREE_S = 0.1, 60.0
 """Throughput is measured without misses: nobody is in a hurry there."""
+JOIN_S = 120.0
+"""Longest wait for a client; a prediction is bounded by its deadline."""
 SOURCE = '''
 import numpy as np
 import torch
@@ -135,7 +137,7 @@ def play(robots: list[SharedBackend], seconds: float) -> Count:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(JOIN_S)
     return Count(*(sum(getattr(count, name) for count in counts) for name in ("answered", "missed", "batches")))
 
 
@@ -230,7 +232,7 @@ def compare(robots: list[SharedBackend], expected: list[np.ndarray]) -> tuple[fl
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(JOIN_S)
     return worst, largest
 
 

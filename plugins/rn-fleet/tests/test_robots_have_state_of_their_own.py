@@ -82,7 +82,9 @@ def test_a_call_of_one_robot_renews_the_leases_of_the_client_and_a_client_that_l
     for lease in leases:
         lease._lease_s = None
     fleet.events.client.tell("agent", False)
-    assert [lease._operator for lease in leases] == ["", ""]
+    assert all(lease._is_free() for lease in leases)
+    fleet.events.presence.tell("agent", 1)  # a stream of the client, which is one of the fleet's
+    assert [lease._open["agent"] for lease in leases] == [1, 1]
 
 
 def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> None:
