@@ -69,10 +69,10 @@ class Tiny:
         self._last = torch.randn(width, 7 * 8, generator=drawn) * width**-0.5
 
     def predict(self, observation):
-        return self.predict_many([observation])[0]
+        return self.predict_batch([observation])[0]
 
     @torch.inference_mode()
-    def predict_many(self, observations):
+    def predict_batch(self, observations):
         images = np.stack([o.frames["primary"].image[:SIDE, :SIDE] for o in observations])
         hidden = torch.from_numpy(images.reshape(len(images), -1).astype(np.float32) / 255.0) @ self._first
         for layer in self._layers:

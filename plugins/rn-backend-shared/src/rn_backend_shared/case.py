@@ -41,9 +41,9 @@ class Reflex:
         self._weights = np.random.default_rng(0).standard_normal((12, 7))
 
     def predict(self, observation):
-        return self.predict_many([observation])[0]
+        return self.predict_batch([observation])[0]
 
-    def predict_many(self, observations):
+    def predict_batch(self, observations):
         rows = []
         for observation in observations:
             if observation.instruction == "crash":
@@ -68,10 +68,10 @@ class Reflex:
 
 
 class Rememberer(Reflex):
-    predict_many = None
+    predict_batch = None
 
     def predict(self, observation):
-        return Reflex.predict_many(self, [observation])[0]
+        return Reflex.predict_batch(self, [observation])[0]
 
 
 @hookimpl

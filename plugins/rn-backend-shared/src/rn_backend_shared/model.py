@@ -21,7 +21,7 @@ from roboneuron.modules.plugin import build
 from roboneuron.plugins.discovery import discover
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
-METHODS = ("predict_many", "predict_batch")
+METHOD = "predict_batch"
 """What a backend may offer beside `Backend`: one chunk for each observation, in their order, from one forward. Offering
 it says that predictions depend on the observation alone."""
 
@@ -59,7 +59,7 @@ class SharedModel:
         if options.checkpoint is not None:
             own["checkpoint"] = options.checkpoint
         self._backend = cast("Backend", build(spec, own, **parts))
-        self._many = next((m for name in METHODS if (m := getattr(self._backend, name, None)) is not None), None)
+        self._many = getattr(self._backend, METHOD, None)
         if self._many is None and not options.stateless:
             raise ConfigurationError(
                 f"The backend {spec.name!r} cannot answer several observations at once, and may remember robots.",
