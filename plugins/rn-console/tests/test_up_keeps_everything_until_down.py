@@ -37,7 +37,7 @@ calls = []
 
 class Server:
     async def list_tools(self):
-        return SimpleNamespace(tools=[SimpleNamespace(name="start_all")])
+        return SimpleNamespace(tools=[SimpleNamespace(name="start_all", input_schema={})])
 
     async def call_tool(self, name, arguments, **_):
         calls.append(name)
@@ -64,7 +64,7 @@ class FakeServer:
         self.answers: dict[str, Any] = {"start_all": STARTED, "stop_all": STOPPED}
 
     async def list_tools(self) -> Any:
-        return SimpleNamespace(tools=[SimpleNamespace(name=name) for name in self.names])
+        return SimpleNamespace(tools=[SimpleNamespace(name=name, input_schema={}) for name in self.names])
 
     async def call_tool(self, name: str, arguments: dict[str, Any], **_: Any) -> Any:
         self.calls.append((name, arguments))

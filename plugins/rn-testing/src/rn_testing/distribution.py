@@ -145,7 +145,7 @@ def probe(case: PackageCase, module: str) -> Probe:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE, json.dumps(list(case.path)), module],
+            [sys.executable, "-B", "-c", _PROBE, json.dumps(list(case.path)), module],
             capture_output=True,
             text=True,
             timeout=PROBE_LIMIT_S,
