@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 from argparse import ArgumentError, ArgumentParser, Namespace
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,9 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--log-level", choices=["debug", "info", "warning", "error"], default="info", help="of the log on stderr"
     )
-    for spec in switched_features():
+    with quiet_streams():
+        features = switched_features()
+    for spec in features:
         told = f"{spec.switch} = true in [{spec.keys[0]}]: {spec.summary[:1].lower()}{spec.summary[1:]}"
         with suppress(ArgumentError):  # a feature called as one of the options above has no flag
             parser.add_argument(f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told)
@@ -76,6 +79,21 @@ def divert_standard_streams() -> tuple[int, int]:
     os.dup2(2, 1)
     sys.stdout = sys.stderr
     return wire_in, wire_out
+
+
+@contextmanager
+def quiet_streams() -> Iterator[None]:
+    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of an agent."""
+    stdout = sys.stdout
+    streams = divert_standard_streams()
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        for target, kept in enumerate(streams):
+            os.dup2(kept, target)
+            os.close(kept)
+        sys.stdout = stdout
 
 
 def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
