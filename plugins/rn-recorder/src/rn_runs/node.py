@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
 import sys
 import threading
 import time
@@ -36,6 +37,8 @@ MOST_BYTES = 128_000_000
 """Of messages that wait to be encoded and written."""
 _TURN_S, _STATUS_S = 0.02, 0.5
 _PREDECESSOR_S = 15.0
+_LEAVE_S = 5.0
+"""Longest time that leaving ROS may take."""
 _LATCHED = "latched"
 
 
@@ -251,6 +254,8 @@ def main() -> None:
     try:
         process.run(signals)  # on the main thread, where signals are heard
     finally:
+        # The files are closed. rclpy has been seen to spin in destroy_node for ever; SIGALRM ends the process then.
+        signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
         executor.shutdown(timeout_sec=1.0)
         spinning.join(2.0)
         node.destroy_node()
