@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
+from argparse import ArgumentParser, Namespace
 
 import pytest
 from pydantic import Field
 
 from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec, Section
-from roboneuron.cli.serve import configure, with_server
+from roboneuron.cli.commands import run_command
+from roboneuron.cli.serve import add_installed_flags, configure, with_server
 from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.plugins.registry import Registry
 
@@ -38,6 +39,7 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
 def options(registry: Registry, *words: str, text: str = "") -> Options:
     parser = ArgumentParser()
     configure(parser)
+    add_installed_flags(parser)
     config: Config = parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry)
     found = feature_options(SIREN, with_server(config, parser.parse_args(words), registry))
     assert isinstance(found, Options)
@@ -59,4 +61,24 @@ def test_only_a_feature_that_says_so_has_a_flag(registry: Registry, capsys: pyte
 def test_a_feature_called_as_an_option_leaves_that_alone(registry: Registry) -> None:
     parser = ArgumentParser()
     configure(parser)
+    add_installed_flags(parser)
     assert parser.parse_args(["--host", "::1"]).host == "::1"
+
+
+def test_plugins_are_looked_at_only_for_a_flag_that_core_does_not_have(registry: Registry) -> None:
+    added: list[ArgumentParser] = []
+
+    class Serve:
+        configure = staticmethod(configure)
+
+        def add_installed_flags(self, parser: ArgumentParser) -> None:
+            added.append(parser)
+            add_installed_flags(parser)
+
+        def run(self, arguments: Namespace) -> int:
+            return len(arguments.switches or ()) if "switches" in arguments else 0
+
+    assert run_command(Serve(), "serve", ["--host", "::1", "-v"]) == 0
+    assert not added
+    assert run_command(Serve(), "serve", ["--siren"]) == 1
+    assert len(added) == 1

@@ -38,6 +38,7 @@ def whole_parser() -> ArgumentParser:
         holder = groups.get(group, commands)
         command = holder.add_parser(word, help=summary, description=module.__doc__)
         module.configure(command)
+        getattr(module, "add_installed_flags", lambda _: None)(command)
         add_verbosity(command)
     for action in _actions(parser):
         if action.type is Path and not action.choices:

@@ -93,6 +93,10 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
     parser = ArgumentParser(prog=prog, description=command.__doc__)
     command.configure(parser)
     add_verbosity(parser)
+    add_installed = getattr(command, "add_installed_flags", None)
+    # Discovery imports every plugin, so it waits until somebody asks for more than core's own flags.
+    if add_installed is not None and ({"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]):
+        add_installed(parser)
     arguments = parser.parse_args(words)
     apply_verbosity(arguments)
     return command.run(arguments)

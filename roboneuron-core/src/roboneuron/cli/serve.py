@@ -31,6 +31,10 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--log-level", choices=["debug", "info", "warning", "error"], default="info", help="of the log on stderr"
     )
+
+
+def add_installed_flags(parser: ArgumentParser) -> None:
+    """Add a flag for each feature of an installed plugin that the command line can switch on."""
     with quiet_streams():
         features = switched_features()
     for spec in features:
