@@ -1,12 +1,13 @@
 """How soon a fault is noticed, and how soon the arm stands: crashes and emergency stops of a moving arm, in one run.
 
-    python benchmarks/bench_faults.py [--trials 100] [--json out.json]
+    python benchmarks/bench_faults.py [--trials 100] [--rows 16 --delay-ms 100] [--json out.json]
 
 An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the joints did: "last motion"
 is the time from the fault to the last change of the measured joints; "noticed" is when the supervisor's watch told its
 listeners; "hold" is when control commanded, or the driver reported, a hold. Only the module that was killed is started
 again. The gantry reaches each command at once, so that its last motion is the last command's; an arm with inertia adds
-its braking. The floor is how long it takes this process to learn that a bare child was killed.
+its braking. With --rows the backend answers with chunks, which are executed as `auto` decides.
+The floor is how long it takes this process to learn that a bare child was killed.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell
+from plugin_site import chunks
 
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -39,6 +41,7 @@ from roboneuron.supervisor.health import Health, ModuleView, Watch
 
 sys.path.pop(0)
 
+RATE_HZ = 30.0
 NOTICE, MOTION, HOLD = "noticed", "last motion", "hold"
 BOUNDS_S = {
     ("inference killed", NOTICE): 0.5,
@@ -223,11 +226,14 @@ def main() -> None:
     """Run every trial and print one table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=100, help="of each fault")
+    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
+    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
     parser.add_argument("--json", type=Path, help="write the raw seconds here")
     arguments = parser.parse_args()
     progress = Console(stderr=True)
     with tempfile.TemporaryDirectory() as scratch:
-        with moving_cell(Path(scratch), 30.0, backend="steady") as (loop, witness):
+        policy = chunks(arguments.rows, arguments.delay_ms, RATE_HZ)
+        with moving_cell(Path(scratch), RATE_HZ, backend="steady", policy=policy) as (loop, witness):
             bench = Bench(loop, witness)
             try:
                 for trial in range(arguments.trials):

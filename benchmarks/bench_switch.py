@@ -1,11 +1,12 @@
 """Replacing the backend while the arm moves: warm and cold beside each other, in one run.
 
-    python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30]
+    python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30] [--rows 16 --delay-ms 100]
 
 The camera numbers its images and the actions carry the number back, so that a missed period is an image that nobody
 acted on, and a late one is seen in the times at which actions were sent (DDS source times). "Elsewhere" is the same
 stream between change-overs: what the machine itself does to it. The velocity step is the change of the commanded
-velocity of the moving joint from one command to the next.
+velocity of the moving joint from one command to the next. With --rows the backends answer with chunks, which are
+executed as `auto` decides; each row belongs to a period of the camera, and periods without a row are what is missed.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
+from plugin_site import chunks
 from switch_loop import Sent, moving_loop
 
 from rn_switching.replacing import Switching, SwitchMode
@@ -37,9 +39,10 @@ class Outcome:
 
     Attributes:
         gaps_s: last action of the old to first action of the new backend.
-        missed: images without an action at the change-overs.
+        missed: images, or periods of a chunk, without an action at the change-overs.
         elsewhere_s: times between the other actions.
-        skipped: images without an action between the change-overs, of `images`.
+        skipped: the same between the change-overs, of `images`.
+        twice: rows of a chunk that were sent twice.
         step_m_s, step_elsewhere_m_s: largest change of the commanded velocity.
         took_s: median duration of the call.
     """
@@ -68,11 +71,11 @@ def judge(actions: list[Sent], commands: list[tuple[int, float, float]], took_s:
         near |= (step_at > a.at_ns / 1e9 - 0.05) & (step_at < b.at_ns / 1e9 + 0.25)
     return Outcome(
         gaps_s=np.array([(b.at_ns - a.at_ns) / 1e9 for a, b in changes]),
-        missed=sum(b.image - a.image - 1 for a, b in changes),
+        missed=sum(max(0, b.slot - a.slot - 1) for a, b in changes),
         elsewhere_s=np.array([(b.at_ns - a.at_ns) / 1e9 for a, b in rest]),
-        skipped=sum(b.image - a.image - 1 for a, b in rest),
-        images=actions[-1].image - actions[0].image + 1,
-        twice=len(actions) - len({action.image for action in actions}),
+        skipped=sum(max(0, b.slot - a.slot - 1) for a, b in rest),
+        images=actions[-1].slot - actions[0].slot + 1,
+        twice=len(actions) - len({(action.image, action.row) for action in actions}),
         step_m_s=float(steps[near].max(initial=0.0)),
         step_elsewhere_m_s=float(steps[~near].max(initial=0.0)),
         took_s=float(np.median(took_s)),
@@ -116,6 +119,8 @@ def main() -> None:
     parser.add_argument("--switches", type=int, default=50, metavar="N", help="warm switches at each rate")
     parser.add_argument("--cold", type=int, default=5, metavar="N", help="cold switches at each rate")
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 30.0], metavar="HZ", help="images per second")
+    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
+    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
     arguments = parser.parse_args()
     console = Console(width=150)
     progress = Console(stderr=True)
@@ -124,7 +129,11 @@ def main() -> None:
     for head in (*heads.split("|"), "skipped elsewhere", "velocity step / elsewhere [m/s]", "call [s]"):
         table.add_column(head)
     for rate_hz in arguments.rates:
-        with tempfile.TemporaryDirectory() as scratch, moving_loop(Path(scratch), rate_hz) as (switching, witness):
+        options = chunks(arguments.rows, arguments.delay_ms, rate_hz)
+        with (
+            tempfile.TemporaryDirectory() as scratch,
+            moving_loop(Path(scratch), rate_hz, backend_options=options) as (switching, witness),
+        ):
             for mode, count in (("warm", arguments.switches), ("cold", arguments.cold)):
                 if not count:
                     continue
@@ -135,8 +144,11 @@ def main() -> None:
                         return "-"
                     return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, [50, 99, 100]) * 1e3)
 
+                report = switching.loop.supervisor.view("inference").report
+                mode_now = "" if report is None else report.metrics.get("execution.mode", "")
+                executed = "" if arguments.rows == 1 else f", {mode_now} of {arguments.rows} rows"
                 row = [
-                    f"{rate_hz:g} Hz, {mode}",
+                    f"{rate_hz:g} Hz, {mode}{executed}",
                     f"{len(outcome.gaps_s)} of {count}",
                     str(outcome.missed),
                     str(outcome.twice),

@@ -53,17 +53,21 @@ mode_file = "{folder}/gantry"
 [plugins.first]
 mode_file = "{folder}/backend"
 memory_file = "{folder}/memory"
+{policy}
 [plugins.second]
 tag = 2
 mode_file = "{folder}/backend"
 memory_file = "{folder}/memory"
+{policy}
 [plugins.steady]
 mode_file = "{folder}/backend"
 memory_file = "{folder}/memory"
+{policy}
 [plugins.steadier]
 tag = 2
 mode_file = "{folder}/backend"
 memory_file = "{folder}/memory"
+{policy}
 """
 STILL_M = 1e-7
 
@@ -75,9 +79,9 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
         folder: where state and the files that make parts fail are.
         rate_hz: images per second.
         backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by what is measured.
-        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`.
+        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`, and of each backend: `policy`.
     """
-    keys = dict.fromkeys(("perception", "inference", "control", "supervisor", "camera"), "") | more
+    keys = dict.fromkeys(("perception", "inference", "control", "supervisor", "camera", "policy"), "") | more
     return CONFIG.format(folder=folder, rate_hz=rate_hz, backend=backend, **keys)
 
 

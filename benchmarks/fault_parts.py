@@ -95,13 +95,19 @@ class SteadyBackend(HungryBackend):
         self._centre_m = (config or SteadyBackendOptions()).centre_m
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """A step of at most 3 mm towards where the swing is at the image's time."""
+        """Steps of at most 3 mm towards where the swing is: all of a lone row's way, a tenth of it in rows of a chunk.
+
+        The first rows of a chunk are too old when it comes, so that each row has to bring its part.
+        """
         chunk = super().predict(observation)
         assert observation.ee_pose is not None
         stamp_s = observation.frames["primary"].stamp_ns / 1e9
-        target_m = self._centre_m + 0.06 * math.sin(2 * math.pi * stamp_s / PERIOD_S)
         actions = chunk.actions.copy()
-        actions[0, 0] = np.clip(target_m - observation.ee_pose.position_m[0], -0.003, 0.003)
+        at_s = stamp_s + np.arange(len(actions) + 1) * chunk.step_s
+        targets_m = self._centre_m + 0.06 * np.sin(2 * math.pi * at_s / PERIOD_S)
+        away_m = targets_m[0] - observation.ee_pose.position_m[0]
+        steps_m = away_m if len(actions) == 1 else np.diff(targets_m) + 0.1 * away_m
+        actions[:, 0] = np.clip(steps_m, -0.003, 0.003)
         return replace(chunk, actions=actions)
 
 

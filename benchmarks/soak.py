@@ -1,7 +1,8 @@
 """The loop for half an hour: 30 Hz, 640x480, a switch of the backend every minute, a random fault every two.
 
-    python benchmarks/soak.py [--minutes 30] [--switch-s 60] [--fault-s 120] [--seed 1] [--json out.json]
+    python benchmarks/soak.py [--minutes 30] [--switch-s 60] [--fault-s 120] [--json out.json]
 
+With --rows 16 --delay-ms 100 the backends answer with chunks, which are executed as `auto` decides.
 A real server runs as an agent's client would start it, on stdio; the agent is this process. Memory (resident, without
 what is shared), open handles and threads of every process and Fast DDS's files in shared memory are sampled, and a line
 is fitted through what was sampled after the warm-up. It fails when something grows by more than `GROWTH` over that
@@ -25,6 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
+from plugin_site import chunks
 from soak_cell import served_cell, until
 
 sys.path.pop(0)
@@ -48,6 +50,8 @@ class Settings:
     width: int = 640
     height: int = 480
     seed: int = 1
+    rows: int = 1
+    delay_ms: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -132,7 +136,8 @@ def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report
     """Soak a loop; `tell` hears of every switch and fault."""
     report = Report()
     chance = random.Random(settings.seed)
-    with served_cell(folder, settings.rate_hz, (settings.width, settings.height)) as cell:
+    policy = chunks(settings.rows, settings.delay_ms, settings.rate_hz)
+    with served_cell(folder, settings.rate_hz, (settings.width, settings.height), policy) as cell:
         cell.start()
         started_s = time.monotonic()
         samples: list[tuple[float, dict[tuple[str, str], float]]] = []
@@ -185,6 +190,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="images per second")
     parser.add_argument("--size", type=int, nargs=2, default=[640, 480], metavar=("W", "H"), help="of the images")
     parser.add_argument("--seed", type=int, default=1, help="of the order of the faults")
+    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
+    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
     parser.add_argument("--json", type=Path, help="write everything here")
     arguments = parser.parse_args()
     settings = Settings(
@@ -195,6 +202,8 @@ def main() -> None:
         width=arguments.size[0],
         height=arguments.size[1],
         seed=arguments.seed,
+        rows=arguments.rows,
+        delay_ms=arguments.delay_ms,
     )
     console = Console(width=150)
     with tempfile.TemporaryDirectory() as folder:

@@ -183,11 +183,11 @@ def _mapped(pid: int) -> set[str]:
 
 
 @contextlib.contextmanager
-def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int]) -> Iterator[Cell]:
-    """A server with the faulty gantry, an agent and a witness; everything is ended."""
+def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int], policy: str = "") -> Iterator[Cell]:
+    """The faulty gantry, its server, agent and witness, the backends with options `policy`; everything is ended."""
     camera = f"width = {size_px[0]}\nheight = {size_px[1]}"
     ops = "[ops]\nunresponsive_s = 1.5\nrestart_limit = 100\n"
-    text = config_text(folder, rate_hz, backend="steady", camera=camera)
+    text = config_text(folder, rate_hz, backend="steady", camera=camera, policy=policy)
     path = folder / "roboneuron.toml"
     path.write_text(text + ops + '[server]\nreset_emergency_stop = "client"\n')
     for part in PARTS:

@@ -13,6 +13,7 @@ from typing import Any
 
 from plugin_site import installed
 from shared_memory import repaired
+from switch_plugin import named_by
 
 from rn_execution.plugin import FEATURE as EXECUTION
 from rn_switching.replacing import Switching
@@ -53,12 +54,21 @@ def quiet(_: str) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """One action: when it was sent (DDS source time), for which image, by which backend, moving how far along x."""
+    """One action: when it was sent (DDS source time), for which image, by which backend, moving how far along x.
+
+    `row` is its place in a chunk. Camera and chunk have one period, so that `slot` numbers the periods of both.
+    """
 
     at_ns: int
     image: int
     tag: int
     x_m: float
+    row: int = 0
+
+    @property
+    def slot(self) -> int:
+        """The period that the action is for."""
+        return self.image + self.row
 
 
 class Witness:
@@ -78,12 +88,10 @@ class Witness:
 
         def on_action(message: Any, info: dict[str, Any]) -> None:
             values = message.data
-            sent = Sent(
-                at_ns=int(info["source_timestamp"]),
-                image=round(values[4] * 1e9),
-                tag=round(values[5] * 1e9),
-                x_m=float(values[0]),
-            )
+            named = named_by(values[6])
+            image, row, tag = named or (round(values[4] * 1e9), 0, round(values[5] * 1e9))
+            at_ns = int(info["source_timestamp"])
+            sent = Sent(at_ns=at_ns, image=image, tag=tag, x_m=float(values[0]), row=row)
             with self._lock:
                 self._actions.append(sent)
 
@@ -145,13 +153,17 @@ class Witness:
 
 
 @contextmanager
-def moving_loop(scratch: Path, rate_hz: float, camera_options: str = "") -> Iterator[tuple[Switching, Witness]]:
+def moving_loop(
+    scratch: Path, rate_hz: float, camera_options: str = "", backend_options: str = ""
+) -> Iterator[tuple[Switching, Witness]]:
     """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
 
-    `camera_options` is TOML: more keys of the camera, and sections after it.
+    `camera_options` is TOML: more keys of the camera, and sections after it; `backend_options`: keys of both backends.
     """
     with installed(scratch, "rn-switch", ("switch_plugin",)):
-        config = parse_config(CONFIG.format(rate_hz=rate_hz, camera_options=camera_options))
+        config = parse_config(
+            CONFIG.format(rate_hz=rate_hz, camera_options=camera_options, backend_options=backend_options)
+        )
         supervisor = Supervisor(scratch / "state")
         supervisor.on_join = (EXECUTION.on_join or "",)
         try:

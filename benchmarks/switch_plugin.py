@@ -2,6 +2,8 @@
 
 The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians, and its `rz` says
 in nano-radians which backend acted; the motion along x is a slow sine of the images' time, the same for each backend.
+A chunk of several rows goes on along the sine. Rows of two chunks may be cross-faded, but grippers are not: their value
+says for which image, as which row and by which backend an action was sent (`code_of`, `named_by`).
 """
 
 from __future__ import annotations
@@ -37,6 +39,18 @@ PLUGIN = "switch_plugin"
 NANO = 1e-9
 PEAK_M = 0.002
 PERIOD_S = 8.0
+_ROWS, _TAGS = 64, 8
+
+
+def code_of(image: int, row: int, tag: int) -> float:
+    """The gripper's value, just below 1, that says for which image, as which row and by which backend."""
+    return 1.0 - ((image * _ROWS + row) * _TAGS + tag) * NANO
+
+
+def named_by(gripper: float) -> tuple[int, int, int] | None:
+    """Image, row and backend of a gripper's value; None when it says nothing."""
+    code = round((1.0 - gripper) / NANO)
+    return (code // _TAGS // _ROWS, code // _TAGS % _ROWS, code % _TAGS) if code else None
 
 
 def _read(path: str) -> str:
@@ -68,6 +82,7 @@ class BackendOptions(BaseModel):
     tag: int = Field(default=1, description="who acted, in the actions")
     offset_m: float = Field(default=0.0, description="added to the motion along x")
     step_s: float = Field(default=0.01, gt=0, description="shortest time between two actions")
+    rows: int = Field(default=1, ge=1, le=_ROWS, description="actions of a chunk, one each step_s")
     delay_s: float = Field(default=0.0, ge=0, description="time that a prediction takes")
     hang_file: Annotated[str, AgentMaySet()] = Field(
         default="", description="a prediction lasts for as long as this file exists"
@@ -132,7 +147,7 @@ class NamingBackend:
         """Nothing to load."""
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """A point of the sine at the image's time, with the image's number."""
+        """Points of the sine from the image's time on, with the image's number."""
         import numpy as np
 
         from roboneuron.contract import ActionChunk
@@ -152,9 +167,14 @@ class NamingBackend:
             time.sleep(options.delay_s)
         frame = observation.frames["primary"]
         number = int.from_bytes(frame.image[0].tobytes()[:4], "little")
-        x_m = PEAK_M * math.sin(2 * math.pi * frame.stamp_ns / 1e9 / PERIOD_S) + options.offset_m
-        action = np.array([[x_m, 0, 0, 0, number * NANO, options.tag * NANO, 1.0]])
-        return ActionChunk(actions=action, step_s=options.step_s)
+        stamp_s = frame.stamp_ns / 1e9
+        actions = np.zeros((options.rows, 7))
+        for row in range(options.rows):
+            at_s = stamp_s + row * options.step_s
+            actions[row, 0] = PEAK_M * math.sin(2 * math.pi * at_s / PERIOD_S) + options.offset_m
+            actions[row, 6] = code_of(number, row, options.tag)
+        actions[:, 4:6] = number * NANO, options.tag * NANO
+        return ActionChunk(actions=actions, step_s=options.step_s)
 
     def reset(self) -> None:
         """Nothing to forget."""

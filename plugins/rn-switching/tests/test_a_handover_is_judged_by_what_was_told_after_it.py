@@ -10,13 +10,13 @@ from typing import Any, cast
 import pytest
 
 from rn_switching import warm_switch
-from rn_switching.standby import ACT_FROM
+from rn_switching.standby import ACT_FROM, PLAY_FROM
 from rn_switching.warm_switch import WarmSwitch
 from roboneuron.errors import NotReadyError
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.health import Report
 
-FIRST_S = 0.1
+FIRST_S, BRIDGED_NS = 0.1, 40_000_000
 
 
 class Machine:
@@ -80,9 +80,11 @@ class Client:
     def __init__(self, late: int) -> None:
         self.late = late
         self.heard: list[tuple[float, float]] = []
+        self.bridged_ns = -1
 
     def send(self, values: dict[str, int]) -> float:
         self.heard.append((time.time_ns() / 1e9, values[ACT_FROM] / 1e9))
+        self.bridged_ns = values[PLAY_FROM] - values[ACT_FROM]
         return 0.0
 
     def finish(self, call: float, timeout_s: float, check: object) -> str:
@@ -95,7 +97,7 @@ def agree(client: Client) -> tuple[int, float]:
     machine = Machine()
     check = SimpleNamespace(kind="control", noun="controller")
     switch = WarmSwitch(cast(Any, machine), cast(Any, None), cast(Any, check), lambda stage: None)
-    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, 0)
+    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, BRIDGED_NS)
 
 
 def test_one_that_answers_too_late_is_told_a_later_moment() -> None:
@@ -104,6 +106,7 @@ def test_one_that_answers_too_late_is_told_a_later_moment() -> None:
     assert [round(moment_s - sent_s, 1) for sent_s, moment_s in client.heard] == [0.5, 1.0, 2.0]
     assert moment_ns / 1e9 == client.heard[-1][1]
     assert due_s > time.monotonic()
+    assert client.bridged_ns == BRIDGED_NS
 
 
 def test_one_that_never_answers_in_time_is_not_waited_for_any_longer() -> None:

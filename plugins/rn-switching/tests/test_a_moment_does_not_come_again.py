@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from rn_switching.handover import TimedHandover
 from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
+from roboneuron.contract import ActionChunk
 from roboneuron.modules.status import ModuleStatus
 
 HOUR_NS = 3_600_000_000_000
@@ -72,3 +74,27 @@ def test_a_standby_is_in_shadow_until_it_is_told_otherwise(clocks: Clocks) -> No
     assert standby.is_shadow(clocks.wall_ns)
     clocks.set_moment(standby, ACT_FROM, 0)
     assert standby.is_ours(clocks.wall_ns)
+
+
+def test_no_prediction_in_shadow_lasts_beyond_the_moment(
+    clocks: Clocks, handover: TimedHandover, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rested_s: list[float] = []
+    monkeypatch.setattr("rn_switching.handover.time.sleep", rested_s.append)
+    moment_ns = clocks.wall_ns + int(1.0e9)
+    clocks.set_moment(handover, ACT_FROM, moment_ns)
+    handover.rest()
+    assert not rested_s, "how long a prediction takes is not known yet"
+    clocks.mono_s += 0.3
+    handover.withhold(ActionChunk(actions=np.zeros((8, 7)), step_s=0.05))
+    clocks.wall_ns = moment_ns - int(0.4e9)
+    handover.rest()
+    assert not rested_s, "this one ends before the moment"
+    clocks.wall_ns = moment_ns - int(0.2e9)
+    handover.rest()
+    assert rested_s == [pytest.approx(0.2)]
+    clocks.wall_ns = moment_ns
+    handover.rest()
+    clocks.set_moment(handover, ACT_FROM, NEVER_NS)
+    handover.rest()
+    assert len(rested_s) == 1

@@ -63,10 +63,23 @@ def test_nothing_of_an_earlier_epoch_is_played() -> None:
 
 def test_a_row_of_the_predecessor_takes_the_place_of_ours() -> None:
     made = answered(3)
-    made.note_sent(np.zeros(7), 1)
-    row = made.play(0.0, 0)
+    made.note_sent(np.zeros(7), 0.01, 1)
+    row = made.play(0.01 + STEP_S, 0)
     assert row is not None
     assert row.index == 1
+
+
+def test_the_first_row_comes_a_period_after_the_predecessors_last() -> None:
+    heard_before = make_sequential(BACKEND, "auto", Bounds(first_s=0.5))
+    heard_before.note_sent(np.zeros(7), 1.0, 1)
+    heard_before.answer(heard_before.begin(observation(2), 2), chunk(3), 2)
+    heard_after = answered(3)
+    heard_after.note_sent(np.zeros(7), 1.0, 1)
+    for made in (heard_before, heard_after):
+        assert made.due_s() == pytest.approx(1.0 + STEP_S)
+        assert made.play(1.0 + 0.9 * STEP_S, 0) is None
+        assert made.play(1.0 + 1.1 * STEP_S, 0) is not None
+        assert made.due_s() == pytest.approx(1.0 + 2 * STEP_S)  # jitter: the predecessor's grid stays
 
 
 def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:

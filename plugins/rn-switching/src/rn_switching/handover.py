@@ -56,6 +56,7 @@ class TimedHandover(Handover):
         self._past_s = dict.fromkeys(self.moments, math.inf)
         self._sent: set[str] = set()
         self._count = 0
+        self._begun_s = self._took_s = 0.0
         self._comparison = ControllerComparison(status)
 
     def set(self, name: str, moment_ns: int) -> None:
@@ -82,9 +83,21 @@ class TimedHandover(Handover):
         """See `Handover.must_fall_silent`."""
         return self._has_come(PLAY_UNTIL, now_ns)
 
+    def rest(self) -> None:
+        """Called before each prediction: one in shadow that would still run at the moment of the handover is not begun.
+
+        The successor is free for the first image after the moment then, so that its first action is not late.
+        """
+        now_s, ahead_s = self._now_s(), (self._moments_ns[ACT_FROM] - self._now_ns()) / 1e9
+        if 0.0 < ahead_s < self._took_s:
+            time.sleep(ahead_s)
+            now_s += ahead_s
+        self._begun_s = now_s
+
     def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
         """See `Handover.withhold`; the status tells what is compared."""
         if isinstance(output, ActionChunk):
+            self._took_s = self._now_s() - self._begun_s
             for name, value in zip(ACTION_FIELDS, output.actions[0].tolist(), strict=True):
                 self.status.set_value(f"shadow_action.{name}", value)
             self._count += 1

@@ -17,12 +17,13 @@ def join(host: ModuleHost) -> None:
     handover = host.handover = TimedHandover(host.settings.shadow, host.status)
     for name, moment_ns in handover.moments.items():
         host.add_parameter(name, moment_ns, partial(handover.set, name), _refusal)
-    host.on_configured.append(partial(_extend, host))
+    host.on_configured.append(partial(_extend, host, handover))
 
 
-def _extend(host: ModuleHost, module: Module) -> None:
+def _extend(host: ModuleHost, handover: TimedHandover, module: Module) -> None:
     if isinstance(module, InferenceModule):
         AccelerationInForce(host, module)
+        module.before_prediction.append(handover.rest)
     restore()  # loaded: from now on as urgent as other modules
 
 

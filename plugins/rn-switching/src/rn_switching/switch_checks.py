@@ -72,6 +72,10 @@ class SwitchCheck(ABC):
         """Time from an input to its output [s]."""
         return (new.latency_p99_ms or new.latency_ms or 0.0) / 1e3
 
+    def has_rows(self) -> bool:
+        """Whether the old one has more to send after the moment, for inputs from before it."""
+        return False
+
     def old(self) -> Report | None:
         """The newest report of the module that works now."""
         return self._supervisor.report_of(self._supervisor.slot(self.kind))
@@ -121,6 +125,10 @@ class InferenceCheck(SwitchCheck):
     def latency_s(self, new: Report) -> float:
         """See `SwitchCheck.latency_s`; the old one's rows bridge the wait for an image too."""
         return super().latency_s(new) + (_period_s(self.old()) or 0.0)
+
+    def has_rows(self) -> bool:
+        """The rest of a chunk."""
+        return _number(self.old(), "chunk_rows") > 1
 
     def is_due(self) -> bool:
         """Without an instruction nothing is sent."""

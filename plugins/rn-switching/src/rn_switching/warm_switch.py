@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 """Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
 now (2 to 50 ms, hundreds on an overloaded machine)."""
+_MARGIN_LATENCIES = 3.0
 _LATEST_S = 0.05
 _MOMENTS = 3
 """So many moments, each twice as far ahead as the one before, are proposed to a new one that answers too late."""
@@ -136,13 +137,15 @@ class WarmSwitch:
         """Agree on the moment, wait for the first output after it, and make the new one the module of its kind."""
         old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
-        margin_s = self._probe(clients, standby)
         latency_s = self._check.latency_s(self._healthy(standby))
+        # A prediction that the new one has begun when it is told of the moment ends before it.
+        margin_s = min(_MOST_MARGIN_S, max(self._probe(clients, standby), _MARGIN_LATENCIES * latency_s))
         self._on_stage(f"{self._kind}: changing over")
         try:
             # The old one is told only when the new one knows: one that dies now disturbs nobody.
-            moment_ns, due_s = self._agree(clients[1], standby, margin_s, int(latency_s * 1e9))
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
+            bridged_ns = int(latency_s * 1e9) if self._check.has_rows() else 0
+            moment_ns, due_s = self._agree(clients[1], standby, margin_s, bridged_ns)
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
             if self._check.is_due():
@@ -152,12 +155,12 @@ class WarmSwitch:
             self._roll_back(clients, old, error)
             raise
 
-    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float, latency_ns: int) -> tuple[int, float]:
+    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float, bridged_ns: int) -> tuple[int, float]:
         """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
         for proposal in range(_MOMENTS):
             moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
             try:
-                values = {ACT_FROM: moment_ns, PLAY_FROM: moment_ns + latency_ns}
+                values = {ACT_FROM: moment_ns, PLAY_FROM: moment_ns + bridged_ns}
                 self._tell(new, values, margin_s / 2, standby)
                 break
             except NotReadyError:

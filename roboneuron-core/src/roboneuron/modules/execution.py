@@ -7,6 +7,7 @@ own, derived from this one, in its place (`ModuleHost.make_executor`).
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -80,6 +81,7 @@ class ChunkExecutor:
         self._queue = queue if queue is not None else RowQueue()
         self._step_s: float | None = None
         self._due_s = 0.0
+        self._heard_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
     # -- who predicts
@@ -141,7 +143,8 @@ class ChunkExecutor:
     def due_s(self) -> float | None:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:
-            return self._due_s if self._queue.next else None
+            row = self._queue.next
+            return None if row is None else max(self._due_s, self._heard_s + row.step_s)
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.
@@ -157,8 +160,8 @@ class ChunkExecutor:
             NotReadyError: the image behind the row has become too old; the rest of its chunk is dropped.
         """
         with self.changed:
-            row = self._queue.next
-            if row is None or now_s < self._due_s:
+            row, due_s = self._queue.next, self.due_s()
+            if row is None or due_s is None or now_s < due_s:
                 return None
             age_s, most_s = (now_ns - row.oldest_ns) / 1e9, self._bounds.of(row)
             if age_s > most_s:
@@ -170,14 +173,14 @@ class ChunkExecutor:
                     hint="Make the backend faster, or allow older images under [inference].",
                 )
             self._queue.pop(now_ns)
-            late_s = now_s - self._due_s
-            self._due_s = (now_s if late_s > _RESYNC * row.step_s else self._due_s) + row.step_s
+            self._due_s = (now_s if now_s - due_s > _RESYNC * row.step_s else due_s) + row.step_s
             self.changed.notify_all()
             return row
 
-    def note_sent(self, vector: F64, now_ns: int) -> None:
-        """Count a row that the predecessor of a handover sent."""
+    def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
+        """Count a row that the predecessor of a handover sent; the next row is due a period after it."""
         with self.changed:
+            self._heard_s = now_s
             self._queue.note_sent(vector, now_ns)
 
     # -- what interrupts

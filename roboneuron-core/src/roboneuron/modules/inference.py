@@ -308,7 +308,7 @@ class InferenceModule(Module):
         """Count what moves the arm until this module does."""
         if not self._has_sent and len(message.data) == ACTION_SIZE:
             self._heard_s = time.monotonic()
-            self._executor.note_sent(np.array(message.data), self.node.now_ns())
+            self._executor.note_sent(np.array(message.data), self._heard_s, self.node.now_ns())
 
     def _note_first(self, oldest_ns: int) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
