@@ -41,7 +41,8 @@ from rn_backend_openvla.backend import OpenVlaBackend
 from rn_backend_openvla.config import OpenVlaConfig
 from rn_backend_openvla.plugin import roboneuron_backends
 from rn_runtime_torch.config import TorchRuntimeConfig
-from rn_runtime_torch.engine import Engine, release_memory
+from rn_runtime_torch.device import release_memory
+from rn_runtime_torch.engine import Engine
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_testing.fakes import make_observation
 from rn_vla.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest

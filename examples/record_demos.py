@@ -24,10 +24,10 @@ from rn_recorder.feature import CONTRACT
 from rn_runs.files import Record, RunFile, write_json
 from rn_runs.images import to_string
 from rn_runs.lerobot import export
+from rn_runs.predictions import prediction_record
 from rn_runs.store import RUN_FILE, Store
 from roboneuron import ActionChunk, Observation, __version__
 from roboneuron.config import load_config
-from roboneuron.modules.prediction import prediction_record
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.environment import prepare_environment
 

@@ -10,9 +10,9 @@ from rclpy.serialization import serialize_message
 
 from rn_runs.files import Record, RunFile, write_json
 from rn_runs.images import to_string
+from rn_runs.predictions import prediction_record
 from rn_runs.store import RUN_FILE, Run, Store
 from roboneuron import ActionChunk, Frame, JointSample, Observation, Pose
-from roboneuron.modules.prediction import prediction_record
 from roboneuron.ros.messages import to_action_message, to_image, to_joint_state, to_pose_stamped
 
 PERIOD_NS = 100_000_000

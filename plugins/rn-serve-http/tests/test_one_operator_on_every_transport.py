@@ -64,7 +64,7 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(
     application = make("[http]\nlease_s = 0.05\n")
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
-    monkeypatch.setattr(application.direct.arbiter, "end_all", lambda reason, timeout_s: ended.append(reason))
+    monkeypatch.setattr(application.arbiter, "end_all", lambda reason, timeout_s: ended.append(reason))
     monkeypatch.setattr("rn_serve_http.feature.is_moving", lambda host: is_moving)
     application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)

@@ -57,7 +57,7 @@ def names(application: Application) -> set[str]:
 
 
 def records(application: Application) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in application.direct.gate.audit.path.read_text().splitlines()]
+    return [json.loads(line) for line in application.gate.audit.path.read_text().splitlines()]
 
 
 def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_otherwise(
@@ -128,7 +128,7 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
     application = make_application(LOCAL)
 
     def bounds() -> Any:
-        return next(e.endpoint.bounds["linear.x"] for e in application.direct.gate.allowed())
+        return next(e.endpoint.bounds["linear.x"] for e in application.gate.allowed())
 
     entry = ExposeConfig.model_validate({"name": "velocity", "bounds": {"linear.x": [-0.1, 0.1]}})
     change = ros_tools(application).expose(entry, ADMIN)
@@ -137,7 +137,7 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
     ros_tools(application).refresh()
     assert bounds() == (-0.1, 0.1)
     ros_tools(application).unexpose(None, "velocity", None, ADMIN)
-    assert not application.direct.gate.allowed()
+    assert not application.gate.allowed()
     with pytest.raises(InvalidInputError, match="exposed are: none"):
         ros_tools(application).unexpose(None, "velocity", None, ADMIN)
     again = ExposeConfig.model_validate({"name": "velocity", "kind": "publish"})
@@ -147,11 +147,11 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
 
 def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> None:
     application = make_application(LOCAL)
-    exposed = application.direct.lent.exposed[0]
+    exposed = application.host.gate.exposed[0]
     entered = threading.Event()
 
     def move() -> None:
-        with application.direct.arbiter.claim(exposed, "a test", threading.Event()) as motion:
+        with application.arbiter.claim(exposed, "a test", threading.Event()) as motion:
             entered.set()
             with pytest.raises(StateError, match="'velocity' was withdrawn"):
                 motion.sleep_until(time.monotonic() + 60)
@@ -167,7 +167,7 @@ def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> Non
 def test_nothing_changes_without_an_audit(make_application: Make, tmp_path: Any) -> None:
     application = make_application(LOCAL)
     (tmp_path / "state").mkdir(exist_ok=True)
-    application.direct.gate.audit.path.mkdir()  # a directory cannot be appended to
+    application.gate.audit.path.mkdir()  # a directory cannot be appended to
     with pytest.raises(RefusedError, match="cannot be written"):
         ros_tools(application).expose(ExposeConfig.model_validate(HORN), ADMIN)
     assert "publish_horn" not in names(application)

@@ -148,7 +148,7 @@ def test_a_withdrawn_topic_does_not_come_back_through_a_pattern(make_application
     path.unexpose(None, "velocity", None, ADMIN)
     found = made('[robot]\nname = "rover"\n' + ROVER.split("expose_without_token = true")[1])["velocity"]
     path._on_discovered((replace(found, label="cmd_vel"),))
-    assert not application.direct.gate.allowed()
+    assert not application.gate.allowed()
 
 
 def test_parameters_are_exposed_by_name() -> None:

@@ -78,7 +78,7 @@ def test_a_label_may_be_used_for_two_kinds(make_application: Make) -> None:
     )
     application = make_application(text)
     assert {"publish_velocity", "read_velocity"} <= set(tools(application))
-    assert {e.endpoint.name for e in application.direct.gate.allowed()} == {"velocity_publish", "velocity_read"}
+    assert {e.endpoint.name for e in application.gate.allowed()} == {"velocity_publish", "velocity_read"}
 
 
 @given(st.text(max_size=120), st.sampled_from(sorted(PATTERNS)))

@@ -152,4 +152,4 @@ def test_a_found_velocity_is_held_to_its_limits(make_application: Callable[..., 
                     await anyio.sleep(0.01)
 
     anyio.run(scenario)
-    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in application.direct.lent.exposed)
+    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in application.host.gate.exposed)

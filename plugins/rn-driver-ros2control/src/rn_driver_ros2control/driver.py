@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_driver_ros2control.command import checked
-from rn_driver_ros2control.faults import FAULTS, goal_violation, path_violation, worded
+from rn_driver_ros2control.faults import FAULTS, violation, worded
 from rn_driver_ros2control.gripper import GripperGoals
-from rn_driver_ros2control.link import ControllerLink, End
+from rn_driver_ros2control.link import ControllerLink, End, connect
 from rn_driver_ros2control.options import Ros2ControlOptions
 from rn_driver_ros2control.trajectory import shortest_s, stop_point, to_message
 from rn_driver_ros2control.watch import ControllerWatch
@@ -21,7 +21,6 @@ from roboneuron import (
     InvalidInputError,
     JointCommand,
     JointLimits,
-    MissingDependencyError,
     NotReadyError,
     RefusedError,
     RobotProfile,
@@ -89,16 +88,7 @@ class Ros2ControlDriver:
 
     def _connect(self) -> ControllerLink:
         """The link to use; tests have others."""
-        try:
-            from rn_driver_ros2control.ros_link import RosLink  # heavy
-        except ModuleNotFoundError as error:
-            if error.name is None or not error.name.startswith("control_msgs"):
-                raise
-            raise MissingDependencyError(
-                "The ROS 2 types of ros2_control are not installed (package control_msgs).",
-                hint="pip install ./plugins/rn-interfaces-control (in RoboNeuron's source folder) compiles them.",
-            ) from error
-        return RosLink(self._options, self._profile.arm_joints)
+        return connect(self._options, self._profile.arm_joints)
 
     def read(self) -> RobotState:
         """Return the newest measured state.
@@ -253,19 +243,15 @@ class Ros2ControlDriver:
 
     def _judge(self, link: ControllerLink) -> None:
         """In mode topic nobody reports violated tolerances: compare the controller's own error with the options."""
-        report, options = link.report(), self._options
-        if options.mode != "topic" or report is None or self._fault:
+        report = link.report()
+        if self._options.mode != "topic" or report is None or self._fault:
             return
         with self._lock:
             if self._target is None or report.received_s < self._sent_s + _SETTLE_S:
                 return  # the report is about what was before the command
-            if options.path_tolerance:
-                self._fault = path_violation(report, options.path_tolerance)
             goal, due_s = self._target
-            is_due = time.monotonic() > due_s + options.goal_time_tolerance_s
-            if is_due and options.goal_tolerance and options.goal_time_tolerance_s and not self._fault:
-                names = self._profile.arm_joints
-                self._fault = goal_violation(names, goal.tolist(), link.joints(), options.goal_tolerance)
+            places = dict(zip(self._profile.arm_joints, goal.tolist(), strict=True))
+            self._fault = violation(report, link.joints(), places, time.monotonic() - due_s, self._options)
             is_violated = bool(self._fault)
         if is_violated:
             self.hold()

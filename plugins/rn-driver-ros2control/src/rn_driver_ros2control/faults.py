@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from rn_driver_ros2control.link import ControllerReport, End, Measured
+from rn_driver_ros2control.options import Ros2ControlOptions
 
 FAULTS = (End.PATH_TOLERANCE, End.GOAL_TOLERANCE, End.PREEMPTED, End.CANCELLED, End.ABORTED)
 """Ends of a goal that somebody has to look at."""
@@ -20,18 +21,34 @@ def worded(end: End, text: str) -> str:
     return f"{end.value}{said}"
 
 
-def path_violation(report: ControllerReport, bound: float) -> str:
-    """The fault when a joint follows worse than `bound` [rad or m]; empty when none does."""
-    return _violation(End.PATH_TOLERANCE, {name: abs(error) for name, error in report.error.items()}, bound)
+def violation(
+    report: ControllerReport,
+    joints: Mapping[str, Measured],
+    goal: Mapping[str, float],
+    late_s: float,
+    options: Ros2ControlOptions,
+) -> str:
+    """The fault when a tolerance of the options is violated; empty when none is.
+
+    Args:
+        report: newest of the controller.
+        joints: measured.
+        goal: by joint, where it is to be [rad or m].
+        late_s: time since it was to be there [s].
+        options: a tolerance of 0 is the controller's own.
+    """
+    fault = ""
+    if options.path_tolerance:
+        off = {name: abs(error) for name, error in report.error.items()}
+        fault = _worst(End.PATH_TOLERANCE, off, options.path_tolerance)
+    is_due = 0.0 < options.goal_time_tolerance_s < late_s
+    if is_due and options.goal_tolerance and not fault:
+        off = {name: abs(joints[name].position - place) for name, place in goal.items()}
+        fault = _worst(End.GOAL_TOLERANCE, off, options.goal_tolerance)
+    return fault
 
 
-def goal_violation(names: Sequence[str], goal: Sequence[float], joints: Mapping[str, Measured], bound: float) -> str:
-    """The fault when a joint is farther than `bound` [rad or m] from its goal; empty when none is."""
-    off = {name: abs(joints[name].position - place) for name, place in zip(names, goal, strict=True)}
-    return _violation(End.GOAL_TOLERANCE, off, bound)
-
-
-def _violation(end: End, off: Mapping[str, float], bound: float) -> str:
+def _worst(end: End, off: Mapping[str, float], bound: float) -> str:
     worst = max(off, key=lambda name: off[name], default="")
     if not worst or off[worst] <= bound:
         return ""

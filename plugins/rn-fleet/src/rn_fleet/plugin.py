@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="Several robots behind one server, `[robots.<name>]`, each with its own gate and emergency stop.",
     target="rn_fleet.feature:FleetFeature",
     fleet="rn_fleet.fleet:Fleet",
+    fleet_config="rn_fleet.reading:read_robots",
 )
 """Descriptor of the feature."""
 

@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="Records images, actions, states, tool calls and verdicts to MCAP files; keeps the time around incidents.",
     target="rn_recorder.feature:Recorder",
     config="rn_recorder.options:RecorderOptions",
+    on_join="rn_runs.predictions:join",
 )
 """Descriptor of the feature."""
 

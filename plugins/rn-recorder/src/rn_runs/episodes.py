@@ -59,7 +59,7 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """One line of the topic `predictions`; `facts` as `roboneuron.modules.prediction` writes them."""
+    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them."""
 
     at_ns: int
     facts: dict[str, Any]

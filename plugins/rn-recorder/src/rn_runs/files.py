@@ -17,7 +17,7 @@ from zlib import error as ZlibError
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Metadata, Schema, Statistics
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
@@ -161,6 +161,17 @@ def is_finished(path: Path) -> bool:
         return False
 
 
+def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[McapRecord]:
+    """The records of an MCAP file, from its beginning to its end or to the first damage.
+
+    Args:
+        file: open for reading.
+        emit_chunks: chunks come as they are, otherwise the records in them do.
+    """
+    with suppress(*DAMAGE):
+        yield from StreamReader(file, emit_chunks=emit_chunks).records
+
+
 def read_records(path: Path, definitions: dict[str, str] | None = None) -> Iterator[Record]:
     """The messages of a file in the order in which they were written; what is cut off at its end is left out.
 
@@ -174,14 +185,7 @@ def read_records(path: Path, definitions: dict[str, str] | None = None) -> Itera
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     with path.open("rb", buffering=1 << 20) as file:
-        stream = StreamReader(file).records
-        while True:
-            try:
-                entry = next(stream, None)
-            except DAMAGE:
-                return
-            if entry is None:
-                return
+        for entry in whole_records(file):
             if isinstance(entry, Schema):
                 schemas[entry.id] = entry
                 if definitions is not None:
@@ -197,13 +201,11 @@ def read_records(path: Path, definitions: dict[str, str] | None = None) -> Itera
 def read_about(path: Path) -> dict[str, str]:
     """What the file says of itself; empty when its beginning is damaged."""
     with path.open("rb") as file:
-        stream = StreamReader(file).records
-        with suppress(*DAMAGE):
-            for entry in stream:
-                if isinstance(entry, Metadata) and entry.name == METADATA:
-                    return dict(entry.metadata)
-                if isinstance(entry, Message):
-                    break
+        for entry in whole_records(file):
+            if isinstance(entry, Metadata) and entry.name == METADATA:
+                return dict(entry.metadata)
+            if isinstance(entry, Message):
+                break
     return {}
 
 

@@ -93,7 +93,8 @@ class Observations:
         if not self._streams.predictions:
             raise InvalidInputError(
                 "The run holds no predictions, so nobody knows what the backend saw.",
-                hint="They are recorded while a backend runs; check `topics` in [recorder].",
+                hint="They are recorded while a backend runs; check `topics` in [recorder], and that rn-recorder is "
+                "installed for the interpreter of the inference module.",
             )
         self._decoder = MessageDecoder()
         self._recent: dict[str, deque[tuple[int, Record]]] = {}

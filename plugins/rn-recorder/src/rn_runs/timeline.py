@@ -15,7 +15,7 @@ from typing import Any
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from rn_runs.files import DAMAGE, Record, read_about
+from rn_runs.files import DAMAGE, Record, read_about, whole_records
 from rn_runs.reading import MessageDecoder
 from roboneuron import InvalidInputError
 
@@ -117,41 +117,39 @@ class Timeline:
     def _read(self, path: Path) -> None:
         schemas: dict[int, str] = {}
         channels: dict[int, Channel] = {}
-        for position, entry in _entries(path):
-            try:
-                parts = breakup_chunk(entry) if isinstance(entry, Chunk) else [entry]
-            except DAMAGE:
-                return
-            number = 0
-            for part in parts:
-                if isinstance(part, Schema):
-                    schemas[part.id] = part.name
-                    self._decoder.definitions[part.name] = part.data.decode()
-                elif isinstance(part, Channel):
-                    channels[part.id] = part
-                elif isinstance(part, Message):
-                    channel = channels[part.channel_id]
-                    track = self._tracks.get(channel.topic)
-                    if track is None:
-                        track = self._tracks[channel.topic] = _Track(schemas.get(channel.schema_id, ""))
-                    data = part.data if len(part.data) < _LARGE_BYTES else (path, position, number)
-                    track.add(part.log_time, part.publish_time, part.sequence, data)
-                    number += 1
-
-
-def _entries(path: Path) -> Iterator[tuple[int, McapRecord]]:
-    """Records of a file with their positions, chunks unpacked by whoever needs them; what is cut off is left out."""
-    with path.open("rb", buffering=1 << 20) as file:
-        stream = StreamReader(file, emit_chunks=True).records
-        while True:
+        with path.open("rb", buffering=1 << 20) as file:
             position = file.tell()
-            try:
-                entry = next(stream, None)
-            except DAMAGE:
-                return
-            if entry is None:
-                return
-            yield position, entry
+            for entry in whole_records(file, emit_chunks=True):
+                try:
+                    parts = breakup_chunk(entry) if isinstance(entry, Chunk) else [entry]
+                except DAMAGE:
+                    return
+                self._add(parts, (path, position), schemas, channels)
+                position = file.tell()
+
+    def _add(
+        self,
+        parts: Sequence[McapRecord],
+        place: tuple[Path, int],
+        schemas: dict[int, str],
+        channels: dict[int, Channel],
+    ) -> None:
+        """Add the messages among the records that stand at one place, and remember what describes them."""
+        number = 0
+        for part in parts:
+            if isinstance(part, Schema):
+                schemas[part.id] = part.name
+                self._decoder.definitions[part.name] = part.data.decode()
+            elif isinstance(part, Channel):
+                channels[part.id] = part
+            elif isinstance(part, Message):
+                channel = channels[part.channel_id]
+                track = self._tracks.get(channel.topic)
+                if track is None:
+                    track = self._tracks[channel.topic] = _Track(schemas.get(channel.schema_id, ""))
+                data = part.data if len(part.data) < _LARGE_BYTES else (*place, number)
+                track.add(part.log_time, part.publish_time, part.sequence, data)
+                number += 1
 
 
 def _messages_of(entry: McapRecord) -> list[Message]:

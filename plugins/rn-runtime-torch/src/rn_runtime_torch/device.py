@@ -1,7 +1,9 @@
-"""Which device and number type, and whether the model fits there."""
+"""Which device and number type, whether the model fits there, and what is said when it does not."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,3 +98,23 @@ def check_fits(needs: Needs, device: torch.device, dtype: torch.dtype) -> None:
             f"which has {free / 1e9:.2f} GB free.",
             hint="Free memory, choose a smaller dtype or another device, or lower max_prompt_tokens.",
         )
+
+
+@contextmanager
+def memory_errors(device: torch.device) -> Iterator[None]:
+    """Within the block, raise ConfigurationError where torch finds no memory on `device`."""
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
+            raise ConfigurationError(
+                f"Out of memory on {device}: {str(error).splitlines()[0]}",
+                hint="Free memory, choose a smaller dtype or another device.",
+            ) from error
+        raise
+
+
+def release_memory() -> None:
+    """Give cached device memory back once an engine is gone."""
+    if torch.cuda.is_available():
+        torch.cuda.empty_cache()

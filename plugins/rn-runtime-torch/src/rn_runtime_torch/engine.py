@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Protocol, cast
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.decoder import MATRICES, Decoder
-from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype
+from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype, memory_errors
 from rn_runtime_torch.graph import Computation, GraphCache
 from rn_runtime_torch.int8 import check_int8
 from rn_runtime_torch.memory import PeakBytes
@@ -63,7 +62,7 @@ class Engine:
         self._device = choose_device(config)
         self._dtype = choose_dtype(config, self._device)
         check_shards(model.shards)
-        with _memory_errors(self._device), torch.inference_mode():
+        with memory_errors(self._device), torch.inference_mode():
             self._graphs = GraphCache(self._device) if self._device.type == "cuda" and config.cuda_graphs else None
             self._recording = False
             self._build(config)
@@ -168,7 +167,7 @@ class Engine:
         decoder = self._decoder
         before, decoder.selection = decoder.selection, None
         try:
-            with _memory_errors(self._device), torch.inference_mode():
+            with memory_errors(self._device), torch.inference_mode():
                 if acceleration is not None:
                     acceleration.apply(decoder)
                 self._try_selection()
@@ -201,7 +200,7 @@ class Engine:
                 hint="Shorten the instruction.",
             )
         _check_ids(request.prompt.ids, self._model.decoder.vocabulary)
-        with _memory_errors(self._device), torch.inference_mode():
+        with memory_errors(self._device), torch.inference_mode():
             inputs = {
                 name: torch.from_numpy(array)[None].to(self._device, self._dtype)
                 for name, array in request.prompt.arrays.items()
@@ -275,11 +274,8 @@ class Engine:
 
     def _execute(self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
         if self._graphs is not None:
-            key = (
-                self._decoder.selection,
-                kind,
-                tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items())),
-            )
+            shapes = tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items()))
+            key = (self._decoder.selection, kind, shapes)
             if self._recording:
                 self._graphs.record(key, compute, inputs, lambda: self._decoder.visual_kept)
             found = self._graphs.run(key, inputs)
@@ -295,27 +291,8 @@ def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
         raise InvalidInputError(f"The prompt's ids are {span}, expected some from 0 to {vocabulary - 1}.")
 
 
-def release_memory() -> None:
-    """Give cached device memory back once an engine is gone."""
-    if torch.cuda.is_available():
-        torch.cuda.empty_cache()
-
-
 def _compile(decoder: Decoder) -> None:
     """Compile what surrounds attention in each layer; layers are alike, so one compilation serves all."""
     for layer in decoder.layers:
         for name in ("project", "merge"):
             setattr(layer, name, torch.compile(getattr(layer, name)))
-
-
-@contextmanager
-def _memory_errors(device: torch.device) -> Iterator[None]:
-    try:
-        yield
-    except RuntimeError as error:
-        if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
-            raise ConfigurationError(
-                f"Out of memory on {device}: {str(error).splitlines()[0]}",
-                hint="Free memory, choose a smaller dtype or another device.",
-            ) from error
-        raise

@@ -94,7 +94,7 @@ class TorchRuntime:
         """Drop the model and its memory."""
         if self._engine is not None:
             self._engine = None
-            from rn_runtime_torch.engine import release_memory  # heavy: torch
+            from rn_runtime_torch.device import release_memory  # heavy: torch
 
             release_memory()
 

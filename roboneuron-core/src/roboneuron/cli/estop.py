@@ -33,14 +33,14 @@ def configure(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron estop`."""
-    from roboneuron.config import load_config, robot_folder
+    from roboneuron.config import read_state_directory, robot_folder
     from roboneuron.errors import ConfigurationError, RoboNeuronError
     from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
     from roboneuron.gate.audit import AuditLog, AuditRecord
     from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
     from roboneuron.ros.environment import state_directory
 
-    configured = load_config(arguments.config).supervisor.state_directory if arguments.config else None
+    configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
     of_robots = robot_folder(directory).parent
     if arguments.robot is not None and not (of_robots / arguments.robot).is_dir():

@@ -20,8 +20,11 @@ from roboneuron.config.reading import (
     check_sections,
     default_text,
     feature_options,
+    fleet_feature,
     load_config,
     parse_config,
+    parse_tables,
+    read_state_directory,
     robot_folder,
     transport_feature,
 )
@@ -42,8 +45,11 @@ __all__ = [
     "check_sections",
     "default_text",
     "feature_options",
+    "fleet_feature",
     "load_config",
     "parse_config",
+    "parse_tables",
+    "read_state_directory",
     "robot_folder",
     "transport_feature",
 ]

@@ -5,13 +5,11 @@ Sections that core does not know belong to features; they are checked against th
 
 from __future__ import annotations
 
-import re
 import tomllib
-from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -19,7 +17,7 @@ from roboneuron.config.models import Config
 from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_options_model, option_names
+from roboneuron.plugins.loading import load_attribute, load_options_model, option_names
 from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import FeatureSpec
 
@@ -42,16 +40,19 @@ def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Regist
     Raises:
         ConfigurationError: not TOML, or a key or value is not valid; names file, key and the nearest valid key.
     """
+    raw = _parse_toml(text, source)
+    return (_read_robots if "robots" in raw else parse_tables)(raw, source, registry)
+
+
+def _parse_toml(text: str, source: str) -> dict[str, Any]:
     try:
-        raw = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source} is not valid TOML: {error}.") from error
-    if "robots" in raw:
-        return _parse_robots(raw, source, registry)
-    return _parse_table(raw, source, registry)
 
 
-def _parse_table(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
+def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
+    """The tables of one robot. Arguments and errors as of `parse_config`."""
     own = {key: value for key, value in raw.items() if key in KEYS}
     others = {key: value for key, value in raw.items() if key not in KEYS}
     try:
@@ -64,38 +65,23 @@ def _parse_table(raw: Mapping[str, Any], source: str, registry: Registry | None)
     return config
 
 
-def _parse_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
-    """Each `[robots.<name>]` with the tables that all share, as a configuration of its own."""
-    shared = {key: value for key, value in raw.items() if key != "robots"}
-    tables = raw["robots"]
-    if "robot" in shared:
-        raise ConfigurationError(f"{source}: either [robot] or [robots.<name>], not both.")
-    if not isinstance(tables, dict) or not tables:
-        raise ConfigurationError(f"{source}: robots = {tables!r}: expected tables [robots.<name>].")
-    disabled = shared.get("disabled_plugins", ())
+def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
+    """A file with `[robots.<name>]`, which the feature reads that serves several robots."""
+    disabled = raw.get("disabled_plugins")
     registry = registry or discover(tuple(disabled) if isinstance(disabled, list) else ())
-    served = {key for spec in registry.specs(FeatureSpec).values() if spec.transports for key in spec.keys}
-    robots: dict[str, Config] = {}
-    for name, table in tables.items():
-        place = f"{source}, [robots.{name}]"
-        if not re.fullmatch(r"[a-z][a-z0-9_-]{0,31}", name):
-            raise ConfigurationError(f"{place}: a robot's name is made of a-z, 0-9, - and _, at most 32.")
-        if not isinstance(table, dict) or "robot" not in table:
-            raise ConfigurationError(f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.')
-        for key in sorted({"server", "disabled_plugins", "features", "robots", *served} & table.keys()):
-            raise ConfigurationError(f"{place}: {key!r} is shared by all robots: write it at the top level.")
-        robot = dict(table["robot"]) if isinstance(table["robot"], dict) else {"name": table["robot"]}
-        robot.setdefault("namespace", name.replace("-", "_"))
-        pairs = {key: (shared.get(key), table.get(key)) for key in ("plugins", "models")}
-        both = {key: {**a, **b} for key, (a, b) in pairs.items() if isinstance(a, dict) and isinstance(b, dict)}
-        robots[name] = one = _parse_table({**shared, **table, **both, "robot": robot}, place, registry)
-        if "supervisor" in table and one.supervisor.state_directory is not None:
-            raise ConfigurationError(f"{place}: 'state_directory' is shared: each robot has a folder of its own in it.")
-    namespaces = Counter(one.namespace for one in robots.values())
-    for namespace in (namespace for namespace, count in namespaces.items() if count > 1):
-        raise ConfigurationError(f"{source}: two robots have the namespace {namespace!r}.")
-    first = next(iter(robots.values())).robot.model_dump(exclude_none=True)
-    return _parse_table({**shared, "robot": first}, source, registry).model_copy(update={"robots": robots})
+    spec = fleet_feature(registry)
+    read = load_attribute(spec.fleet_config or "", f"`fleet_config` of feature {spec.name!r}")
+    return cast("Callable[[Mapping[str, Any], str, Registry], Config]", read)(raw, source, registry)
+
+
+def fleet_feature(registry: Registry) -> FeatureSpec:
+    """The feature that serves several robots. Raises ConfigurationError when there is none."""
+    for spec in registry.specs(FeatureSpec).values():
+        if spec.fleet is not None:
+            return spec
+    package = package_of("feature", "fleet")
+    hint = f"Run: {install_command(package)}." if package is not None else ""
+    raise ConfigurationError("No installed feature serves several robots, [robots.<name>].", hint=hint)
 
 
 def robot_folder(state_directory: Path, name: str = "*") -> Path:
@@ -116,11 +102,29 @@ def load_config(path: Path | None = None, registry: Registry | None = None) -> C
     """
     if path is None:
         return parse_config(default_text(), source=EMBEDDED_DEFAULT, registry=registry)
+    return parse_config(_read_text(path), source=str(path), registry=registry)
+
+
+def read_state_directory(path: Path) -> str | None:
+    """`supervisor.state_directory` of a file, None when it names none; for what has to work whatever else is wrong.
+
+    No plugin is looked for, and nothing else in the file is checked.
+
+    Raises:
+        ConfigurationError: the file cannot be read, is not TOML, or the value is no text.
+    """
+    section = _parse_toml(_read_text(path), str(path)).get("supervisor")
+    found = section.get("state_directory") if isinstance(section, dict) else None
+    if found is not None and not isinstance(found, str):
+        raise ConfigurationError(f"{path}: supervisor.state_directory = {found!r}: input should be a valid string.")
+    return found
+
+
+def _read_text(path: Path) -> str:
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path} cannot be read: {error}.") from error
-    return parse_config(text, source=str(path), registry=registry)
 
 
 def check_sections(config: Config, registry: Registry, source: str = "roboneuron.toml") -> None:

@@ -140,6 +140,11 @@ class ChunkExecutor:
 
     # -- who plays
 
+    @property
+    def step_s(self) -> float:
+        """Period of the rows of the newest chunk [s]; 0 before the first one."""
+        return self._step_s or 0.0
+
     def due_s(self) -> float | None:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:

@@ -11,13 +11,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import (
-    ACTION_SIZE,
     ActionChunk,
     AnyAcceleration,
     AnyRuntime,
@@ -31,8 +29,8 @@ from roboneuron.modules.execution import Bounds, Prediction
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.player import RowPlayer
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.prediction import prediction_record
 from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
@@ -42,10 +40,6 @@ from roboneuron.ros.messages import to_action_message
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, PREDICTIONS, camera_image, camera_info
 
 _WAIT_S = 0.1
-_PREDECESSOR_S = 0.1
-"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has nothing left."""
-_LOOK_S = 0.002
-"""How often the successor in a handover looks whether the predecessor has finished."""
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
 """A backend is stalled when it takes three times as long as it usually does; before the first prediction, after 5 s."""
@@ -62,11 +56,14 @@ log = logging.getLogger(__name__)
 class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
-    Two threads: one observes and predicts, one plays. `ChunkExecutor` decides when each of them does what.
+    Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when each does what.
 
     Attributes:
         backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
         before_prediction: called on the predicting thread between two predictions.
+        describe_prediction: a line of text for each prediction (what the backend was given, how its answer is executed,
+            whether it was reset before, its answer or why there is none), published while somebody listens; None unless
+            a feature sets it.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -105,6 +102,7 @@ class InferenceModule(Module):
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
         self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
         self.before_prediction: list[Callable[[], None]] = []
+        self.describe_prediction: Callable[[Observation, str, bool, ActionChunk | Exception], str] | None = None
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -116,20 +114,15 @@ class InferenceModule(Module):
             now_ns=node.now_ns,
         )
         self._subscribe(cameras, with_state=spec.needs_state)
-        self._publisher = node.advertise(Float64MultiArray, ACTION)
+        self._actions = node.advertise(Float64MultiArray, ACTION)
         self._predictions = node.advertise(String, PREDICTIONS)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
         self._executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
-        self._has_sent = False
-        self._heard_s = 0.0
-        if node.settings.shadow:
-            node.subscribe(Float64MultiArray, ACTION, self._on_predecessors_action)
-        self._player = Worker("playing", self._play, self.status)
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         node.resources.callback(self._worker.stop, give_up=self._give_up)
-        node.resources.callback(self._player.stop)
         self._instruction = Instruction(node, config.instruction, self._executor.begin_epoch)
+        self._player = RowPlayer(node, self._executor, self._send)
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
@@ -253,9 +246,9 @@ class InferenceModule(Module):
 
     def _tell(self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception) -> None:
         """Publish what was asked and answered, while somebody records it."""
-        if self._predictions.get_subscription_count():
-            record = prediction_record(prediction.observation, prediction.mode, resets, answer)
-            self._predictions.publish(String(data=record))
+        if self.describe_prediction is not None and self._predictions.get_subscription_count():
+            text = self.describe_prediction(prediction.observation, prediction.mode, resets, answer)
+            self._predictions.publish(String(data=text))
 
     def _check_age(self, prediction: Prediction) -> None:
         """Raise NotReadyError for an answer in shadow that comes too late to be acted on."""
@@ -268,47 +261,15 @@ class InferenceModule(Module):
                 hint="Make the backend faster, or allow older images under [inference].",
             )
 
-    def _play(self, stop: threading.Event) -> None:
-        """Send the row that is due, or wait for it."""
-        executor = self._executor
-        with executor.changed:
-            due_s = executor.due_s()
-            wait_s = _WAIT_S if due_s is None else min(_WAIT_S, due_s - time.monotonic())
-            if wait_s > 0:
-                executor.changed.wait(wait_s)
-                return
-            now_ns = self.node.now_ns()
-            if stop.is_set() or self.node.stopped or self.handover.must_fall_silent(now_ns):
-                executor.drop()
-                return
-            if not self.handover.may_send(now_ns) and time.monotonic() - self._heard_s < _PREDECESSOR_S:
-                executor.changed.wait(_LOOK_S)
-                return
-            try:
-                row = executor.play(time.monotonic(), now_ns)
-            except NotReadyError:
-                self.status.dropped.add("late_action")
-                raise
-            if row is not None:
-                self._send(row)
-
     def _send(self, row: Row) -> None:
-        """Publish one row; the executor's lock is held, so that no instruction or stop comes between."""
-        self._has_sent = True
-        self.handover.note_sent("action")
-        self._publisher.publish(to_action_message(row.vector))
+        """Publish one row; called by the player, which holds the executor's lock."""
+        self._actions.publish(to_action_message(row.vector))
         self.status.output.tick()
         self._instruction.note_action()
         if row.is_border:
             self._note_first(row.oldest_ns)
         self.status.set_value("chunk_row", row.index + 1)
         self.status.set_value("chunk_rows", row.horizon)
-
-    def _on_predecessors_action(self, message: Float64MultiArray) -> None:
-        """Count what moves the arm until this module does."""
-        if not self._has_sent and len(message.data) == ACTION_SIZE:
-            self._heard_s = time.monotonic()
-            self._executor.note_sent(np.array(message.data), self._heard_s, self.node.now_ns())
 
     def _note_first(self, oldest_ns: int) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""

@@ -244,6 +244,8 @@ class FeatureSpec(Spec):
             joined ROS; None for none. In the server, `start` is the place for that.
         fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
             and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
+        fleet_config: "module:attribute" of what reads a file with several robots, for a feature with `fleet`: called
+            with the tables, the file's name for messages and the Registry, returns the Config.
         switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`, NAME being the
             feature's, sets it to true. None for no such flag.
     """
@@ -256,6 +258,7 @@ class FeatureSpec(Spec):
     needs: tuple[str, ...] = ()
     on_join: str | None = None
     fleet: str | None = None
+    fleet_config: str | None = None
     switch: str | None = None
 
     @property

@@ -14,6 +14,7 @@ from anyio import to_thread
 
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
+from roboneuron.gate import Gate
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
@@ -22,7 +23,11 @@ from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.motion.path import DirectPath
+from roboneuron.server.motion.allow_list import AllowList
+from roboneuron.server.motion.arbiter import MotionArbiter
+from roboneuron.server.motion.exposed import Exposed
+from roboneuron.server.motion.gate import MotionGate
+from roboneuron.server.motion.traffic import Traffic
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
@@ -47,6 +52,7 @@ def shorten_pauses() -> None:
 
 
 log = logging.getLogger(__name__)
+_MOTION_S = 2.0
 _STOP_S = 1.5
 """When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
 
@@ -65,6 +71,11 @@ class Application:
         config: of the robot.
         plugins, supervisor: others than usual.
         attached: clients come to `server`; not so for one of several robots.
+
+    Attributes:
+        gate: what everything passes that moves a robot beside the closed loop; `host.gate` is what features get of it.
+        arbiter: who moves which robot.
+        allow_list: what agents may use.
     """
 
     resources: Resources
@@ -98,7 +109,11 @@ class Application:
         self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
         self.events.health.listen(self._diagnostics.publish)
         self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
-        self.direct = DirectPath(self.loop)
+        stop, server = self.loop.emergency_stop, config.server
+        self.gate = Gate((), latch=stop.file, audit=stop.audit, clock=time.monotonic, dry_run=server.dry_run)
+        self.arbiter = MotionArbiter(self.gate, self._policy)
+        self.allow_list = AllowList(self.gate, lambda: self.loop.config, self.plugins.current)
+        traffic = Traffic(lambda: self.supervisor.link)
         self.tools = ToolRegistry(
             [
                 *observing_tools(self.loop, self.started_s),
@@ -114,7 +129,7 @@ class Application:
         self.host = Host(
             loop=self.loop,
             supervisor=self.supervisor,
-            gate=self.direct.lent,
+            gate=MotionGate(self.gate, self.arbiter, traffic, self.allow_list, server.max_duration_s),
             audit=self.loop.emergency_stop.audit,
             server=self.server,
             features=self.features,
@@ -126,7 +141,7 @@ class Application:
         )
         self.events.change.listen(self._on_module)
         offered = self.features.offer(self.host, self.tools)
-        self.direct.allow_list.refresh()
+        self.allow_list.refresh()
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
@@ -148,11 +163,17 @@ class Application:
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
         self._watch.close()
-        self.direct.close()
+        self.end_direct_motion()
         self.supervisor.stop_all(_STOP_S)
         self.features.close()
         self.supervisor.close()
         self.events.end.tell()
+
+    def end_direct_motion(self) -> None:
+        """End every motion beside the closed loop with its stop message; the audit is closed; idempotent."""
+        if not self.arbiter.end_all("The server is shutting down.", _MOTION_S):
+            log.error("A motion did not end within %g s.", _MOTION_S)
+        self.gate.audit.close()
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
@@ -182,14 +203,23 @@ class Application:
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
-        self.direct.arbiter.end_all(reason, timeout_s)
+        self.arbiter.end_all(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
+
+    def _policy(self, exposed: Exposed) -> str:
+        """Which policy moves the robot now, as a sentence; empty when none does."""
+        view = self.supervisor.view("inference")
+        if view.phase not in ("starting", "running") or view.choice is None:
+            return ""
+        if view.choice.settings.config.namespace != exposed.namespace:
+            return ""
+        return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""
         if kind == "robot":
             try:
-                self.direct.allow_list.refresh()
+                self.allow_list.refresh()
             except RoboNeuronError as error:
                 log.error("What the robot offers cannot be exposed: %s", error)

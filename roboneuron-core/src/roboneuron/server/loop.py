@@ -12,9 +12,10 @@ from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
+from roboneuron.server.compatibility import check_compatible
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import Selection, check_compatible, check_instruction, select
+from roboneuron.server.selection import Selection, check_instruction, select
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Stage

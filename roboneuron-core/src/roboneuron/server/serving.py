@@ -13,12 +13,9 @@ from typing import cast
 import anyio
 
 from roboneuron import __version__
-from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.config import Config, fleet_feature
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
-from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.app import Application
 from roboneuron.server.feature import Transport
@@ -46,13 +43,9 @@ def make_served(config: Config) -> Served:
     """
     if not config.robots:
         return Application(config)
-    for spec in discover(config.disabled_plugins).specs(FeatureSpec).values():
-        if spec.fleet is not None:
-            make = cast(Callable[[Config, Path], Served], load_attribute(spec.fleet, f"feature {spec.name!r}"))
-            return make(config, state_directory(config.supervisor.state_directory))
-    package = package_of("feature", "fleet")
-    hint = f"Run: {install_command(package)}." if package is not None else ""
-    raise ConfigurationError("No installed feature serves several robots, [robots.<name>].", hint=hint)
+    spec = fleet_feature(discover(config.disabled_plugins))
+    make = cast("Callable[[Config, Path], Served]", load_attribute(spec.fleet or "", f"feature {spec.name!r}"))
+    return make(config, state_directory(config.supervisor.state_directory))
 
 
 def serve(config: Config, wire: tuple[int, int]) -> None:

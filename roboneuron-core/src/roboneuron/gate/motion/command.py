@@ -1,9 +1,9 @@
-"""Joint commands of control: selection and check of their joints, the setpoint of the last one, the verdict."""
+"""Joint commands of control: check of their joints, setpoint of the last one, the step that is limited, the verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,34 @@ class Setpoint:
         velocity = self.way / self.duration_s if is_moving else np.zeros_like(self.way)
         share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
         return self.start + self.way * share, velocity
+
+
+@dataclass(kw_only=True, slots=True, eq=False)
+class Step:
+    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm joints.
+
+    Attributes:
+        measured: joint positions.
+        start, before: setpoint and commanded velocity when the command takes over.
+        target: commanded positions; scaled in place.
+        passed_s: time since the last command, at most `duration_s`: what is available for accelerating.
+        others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
+        is_lost: the measured joints do not follow the setpoint.
+        acted, reason: the limits that scaled the command, and the last one in a sentence.
+    """
+
+    measured: F64
+    start: F64
+    before: F64
+    target: F64
+    duration_s: float
+    passed_s: float
+    stamp_ns: int
+    others: tuple[tuple[str, ...], F64]
+    is_lost: bool
+    asked: Motion | None = None
+    acted: list[str] = field(default_factory=list)
+    reason: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

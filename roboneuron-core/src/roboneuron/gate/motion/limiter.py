@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.command import Setpoint, Verdict, pick, pick_others
+from roboneuron.gate.motion.command import Setpoint, Step, Verdict, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules
@@ -38,34 +38,6 @@ class _Stop(Exception):
     def __init__(self, name: str, reason: str, *, refuse: bool = False) -> None:
         super().__init__(reason)
         self.name, self.refuse = name, refuse
-
-
-@dataclass(kw_only=True, slots=True, eq=False)
-class _Step:
-    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm joints.
-
-    Attributes:
-        measured: joint positions.
-        start, before: setpoint and commanded velocity when the command takes over.
-        target: commanded positions; scaled in place.
-        passed_s: time since the last command, at most `duration_s`: what is available for accelerating.
-        others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
-        is_lost: the measured joints do not follow the setpoint.
-        acted, reason: the limits that scaled the command, and the last one in a sentence.
-    """
-
-    measured: F64
-    start: F64
-    before: F64
-    target: F64
-    duration_s: float
-    passed_s: float
-    stamp_ns: int
-    others: tuple[tuple[str, ...], F64]
-    is_lost: bool
-    asked: Motion | None = None
-    acted: list[str] = field(default_factory=list)
-    reason: str = ""
 
 
 class MotionLimiter:
@@ -122,7 +94,7 @@ class MotionLimiter:
                 f"The controller's command lasts {command.duration_s:.3g} s, at most {self._longest_s:g} s are allowed."
             )
             return Verdict(command=Hold(code="long_command", reason=reason), reason=reason, share=0.0)
-        step: _Step | None = None
+        step: Step | None = None
         try:
             step = self._step(command, joints, now_s)
             wanted = step.target - step.start
@@ -172,13 +144,13 @@ class MotionLimiter:
                 start=here, way=np.zeros_like(here), duration_s=1.0, sent_s=now_s, immediate=self._immediate
             )
 
-    def _go(self, step: _Step, now_s: float) -> None:
+    def _go(self, step: Step, now_s: float) -> None:
         way = step.target - step.start
         self._sent = Setpoint(
             start=step.start, way=way, duration_s=step.duration_s, sent_s=now_s, immediate=self._immediate
         )
 
-    def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> _Step:
+    def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> Step:
         measured = pick(joints.names, joints.position, self._names)
         target = pick(command.names, command.position, self._names)
         if not (math.isfinite(command.duration_s) and command.duration_s > 0.0):
@@ -191,7 +163,7 @@ class MotionLimiter:
             if not is_lost:
                 start, before = position, velocity
         duration_s = max(_SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s)
-        return _Step(
+        return Step(
             measured=measured,
             start=start,
             before=before,
@@ -203,7 +175,7 @@ class MotionLimiter:
             is_lost=is_lost,
         )
 
-    def _shorten(self, step: _Step) -> Motion:
+    def _shorten(self, step: Step) -> Motion:
         """Scale the step's target to within the limits; returns the motion that is sent, raises _Stop."""
         here = start = self._forward(self._sample(step, step.measured))
         if step.start is not step.measured:
@@ -228,7 +200,7 @@ class MotionLimiter:
             raise _Stop(name, reason)
         return sent
 
-    def _pace(self, step: _Step, asked: Motion) -> None:
+    def _pace(self, step: Step, asked: Motion) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         way, share = step.target - step.start, 1.0
         for name, part, reason in self._joints.pace(step.start, way, step.duration_s):
@@ -243,7 +215,7 @@ class MotionLimiter:
         if step.acted:
             step.target = step.start + velocity * step.duration_s
 
-    def _place(self, step: _Step, here: Pose, there: Posture) -> Posture:
+    def _place(self, step: Step, here: Pose, there: Posture) -> Posture:
         """Scale the step to the limits of place, to 1/64 of its length; returns the posture at its end."""
         broken = list(self._broken(step, here, there))
         if not broken:
@@ -261,7 +233,7 @@ class MotionLimiter:
         step.target = step.start + good * way
         return self._look(step, step.target)
 
-    def _broken(self, step: _Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
+    def _broken(self, step: Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
         """Limits of place that the path from the measured posture to the step's target violates: name, reason."""
 
         def look_here() -> Posture:
@@ -278,7 +250,7 @@ class MotionLimiter:
                 yield broken
                 return
 
-    def _act(self, step: _Step, name: str, reason: str) -> None:
+    def _act(self, step: Step, name: str, reason: str) -> None:
         """Record a violated limit; raises _Stop unless its reaction is to scale."""
         reaction = self._rules.reactions[name]
         if reaction != "scale":
@@ -286,20 +258,20 @@ class MotionLimiter:
         step.acted.append(name)
         step.reason = reason
 
-    def _motion(self, step: _Step, here: Pose, start: Pose, there: Posture) -> Motion:
+    def _motion(self, step: Step, here: Pose, start: Pose, there: Posture) -> Motion:
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
         return self._task.motion(here, start, there, step.duration_s, speed)
 
-    def _look(self, step: _Step, position: F64) -> Posture:
+    def _look(self, step: Step, position: F64) -> Posture:
         return self._inspect(self._sample(step, position))
 
-    def _sample(self, step: _Step, position: F64) -> JointSample:
+    def _sample(self, step: Step, position: F64) -> JointSample:
         names, others = step.others
         if names:
             names, position = (*self._names, *names), np.concatenate([position, others])
         return JointSample(names=names or self._names, position=position, stamp_ns=step.stamp_ns)
 
-    def _command(self, command: JointCommand, step: _Step) -> JointCommand:
+    def _command(self, command: JointCommand, step: Step) -> JointCommand:
         if not step.acted and step.duration_s == command.duration_s:
             return command
         position = np.array(command.position, dtype=np.float64)

@@ -6,6 +6,7 @@ from argparse import Namespace
 
 import pytest
 
+from rn_fleet.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.cli.serve import with_server
 from roboneuron.config import Config, parse_config
@@ -22,7 +23,7 @@ HTTP = FeatureSpec(
 
 
 def parse(text: str) -> Config:
-    return parse_config(text, registry=fake_registry(HTTP))
+    return parse_config(text, registry=fake_registry(FEATURE, HTTP))
 
 
 def test_each_robot_has_what_is_its_own_and_what_all_share() -> None:
@@ -87,8 +88,13 @@ def test_what_is_wrong_is_named_with_its_robot(text: str, expected: str) -> None
 def test_the_command_line_speaks_of_the_server_of_all_robots() -> None:
     config = parse("[robots.a]\nrobot='gantry'\n[robots.b]\nrobot='gantry'")
     arguments = Namespace(transport="wire", host=None, port=99)
-    changed = with_server(config, arguments, fake_registry(HTTP))
+    changed = with_server(config, arguments, fake_registry(FEATURE, HTTP))
     for one in (changed, *changed.robots.values()):
         assert one.server.transport == "wire"
         assert one.sections["wire"]["port"] == 99
     assert list(changed.robots) == ["a", "b"]
+
+
+def test_without_the_feature_the_file_is_refused_with_what_to_install() -> None:
+    with pytest.raises(ConfigurationError, match=r"No installed feature serves several robots.*plugins/rn-fleet"):
+        parse_config("[robots.a]\nrobot='gantry'", registry=fake_registry(HTTP))

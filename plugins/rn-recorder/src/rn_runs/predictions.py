@@ -3,9 +3,24 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
-from roboneuron.contract import ActionChunk, Observation
+from roboneuron import ActionChunk, Observation
+
+if TYPE_CHECKING:
+    from roboneuron.modules.inference import InferenceModule
+    from roboneuron.modules.module import Module
+    from roboneuron.modules.module_host import ModuleHost
+
+
+def join(host: ModuleHost) -> None:
+    """Have the inference module publish its predictions; called in every module process, see `FeatureSpec.on_join`."""
+    if host.settings.kind == "inference":
+        host.on_configured.append(_extend)
+
+
+def _extend(module: Module) -> None:
+    cast("InferenceModule", module).describe_prediction = prediction_record
 
 
 def prediction_record(observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception) -> str:

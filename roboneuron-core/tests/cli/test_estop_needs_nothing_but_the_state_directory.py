@@ -1,0 +1,47 @@
+"""`roboneuron estop --config FILE` stops whatever else is wrong with the file, the plugins or the robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from roboneuron.cli.main import main
+from roboneuron.gate.estop import FILE_NAME
+
+BROKEN = """
+disabled_plugins = ["never-installed"]
+[robots.left]
+robot = "never-installed"
+[a_section_that_no_feature_knows]
+key = 1
+[supervisor]
+unknown = 1
+"""
+
+
+def test_a_configuration_that_no_server_would_take_still_names_the_state_directory(tmp_path: Path) -> None:
+    file, state = tmp_path / "roboneuron.toml", tmp_path / "state"
+    file.write_text(f'{BROKEN}state_directory = "{state}"\n')
+    assert main(["estop", "--config", str(file), "--reason", "smoke"]) == 0
+    assert (state / FILE_NAME).exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[supervisor]\nstate_directory = 3\n", "supervisor.state_directory = 3: input should be a valid string"),
+        ("[supervisor\n", "is not valid TOML"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_file_that_does_not_tell_the_directory_is_refused(
+    text: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
+    file = tmp_path / "roboneuron.toml"
+    if text is not None:
+        file.write_text(text)
+    assert main(["estop", "--config", str(file)]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.rglob(FILE_NAME))
