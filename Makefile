@@ -52,9 +52,11 @@ test-view: $(VENV)/.develop ## the live view in a headless Chromium (Debian: apt
 bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
 	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
 
-bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions, emergency stops: --minutes 30 --actions 10000
-	$(BIN)/python benchmarks/bench_fci_stops.py
+bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions; goes on where it was: --minutes 30 --busy 0,8
 	$(BIN)/python benchmarks/bench_fci_loop.py $(ARGS)
+
+bench-fci-stops: $(VENV)/.develop .venv-fr3sim/.ready ## the emergency stop of that arm by tool, topic and file; goes on where it was: --trials 100
+	$(BIN)/python benchmarks/bench_fci_stops.py $(ARGS)
 
 .venv-fr3sim: .venv-fr3sim/.ready
 
