@@ -48,7 +48,7 @@ ACTION_HZ = 50.0
 LATENCY_TRIALS = 30
 AFTER_SWITCH_S = 2.0
 """The old backend's process ends in this time."""
-LEAST_MOVING = 0.25
+LEAST_MOVING = 0.1
 """Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on a busy machine."""
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
