@@ -15,8 +15,8 @@ JOBS ?= 2
 N ?= 50
 LEROBOT_PYTHON ?= python3.12
 
-DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-controller-urdf plugins/rn-backend-servo \
-  plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
+DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
+  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
@@ -52,9 +52,11 @@ test-view: $(VENV)/.develop ## the live view in a headless Chromium (Debian: apt
 bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
 	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
 
-bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions, emergency stops: --minutes 30 --actions 10000
-	$(BIN)/python benchmarks/bench_fci_stops.py
+bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions; goes on where it was: --minutes 30 --busy 0,8
 	$(BIN)/python benchmarks/bench_fci_loop.py $(ARGS)
+
+bench-fci-stops: $(VENV)/.develop .venv-fr3sim/.ready ## the emergency stop of that arm by tool, topic and file; goes on where it was: --trials 100
+	$(BIN)/python benchmarks/bench_fci_stops.py $(ARGS)
 
 .venv-fr3sim: .venv-fr3sim/.ready
 
@@ -239,7 +241,7 @@ $(VENV)/.demo-learned: $(VENV)/.demo
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
-	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-tools-ros \
+	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-simulation --editable plugins/rn-tools-ros \
 	  --editable plugins/rn-fleet)
 	@touch $@
 

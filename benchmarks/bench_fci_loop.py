@@ -1,167 +1,178 @@
-"""A served FR3 behind franka-sim with both enforcement flags: a policy with warm switches, and random actions.
+"""A served FR3 behind franka-sim with both enforcement flags: latency, a policy with warm switches, random actions.
 
-    python benchmarks/bench_fci_loop.py --minutes 30 --actions 10000 [--load 8] [--parts policy,random]
+    python benchmarks/bench_fci_loop.py --minutes 30 [--busy 0,8] [--parts latency,policy,random] [--actions 10000]
 
-`policy`: 20 Hz with warm switches at random times; faults, the control box' success rate, and the period of the control
-loop by the times at which commands arrived at the simulator. `random`: actions of any size and direction on the action
-topic. Both are judged by the joints that the simulator recorded 1000 times per second. Acceleration and jerk are those
-of a cubic fitted to 61 ms of positions, where the simulator itself was never late by more than 2 ms: it reads the
-commands by a clock of its own, so what it does within a few milliseconds says more of the machine than of the arm.
+`latency`: from a command to the first motion. `policy`: 20 Hz with warm switches at random times, moving all the
+time; faults, violations, and the period of the control loop by the times at which commands arrived at the simulator.
+`random`: actions of any size and direction on the action topic. `--busy 0,8` does everything twice, with no and with
+eight busy processes beside it. All is judged by what the simulator recorded (`fci_judge`).
+
+What happens is written as it happens: out/bench-fci/loop/PART-busyN/events.jsonl, and go-M/ with the simulator's
+record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another go; `--judge` only prints what is
+there, `--fresh` begins anew.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import random
+import shutil
 import subprocess
 import sys
-import tempfile
+import threading
 import time
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio
 
 sys.path.insert(0, str(Path(__file__).parent))
-from fci_cell import FciCell, Record, served_fci
+from bench_fci import latency, open_driver
+from fci_cell import PYTHON, STRICT, FciCell, served_fci
+from fci_judge import Limits, Loop, print_loops, read_go
 
 sys.path.pop(0)
 
-from rn_controller_urdf.collision import CollisionModel
-from rn_robot_fr3.description import TCP_LINK, urdf
-from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, JERK_RAD_S3, LOWER_RAD, UPPER_RAD, velocity_bounds
-from rn_robot_fr3.profile import WORKSPACE_LOWER_M, WORKSPACE_UPPER_M, profile
-from roboneuron import JointSample
+from rn_robot_fr3.fci.simulator import FrankaSim
 from roboneuron.ros.qos import NEWEST
 
-WINDOW = 61
-STEP_S = 0.001
-LATE_S = 0.002
+OUT = Path("out/bench-fci/loop")
+PARTS = ("latency", "policy", "random")
 SWITCH_S = (8.0, 25.0)
 ACTION_HZ = 50.0
-MISSING = 2.0
-"""In the simulator's record of commands: it had to extrapolate, for none came in time."""
-EVERY = 20
-"""Each how many rows the TCP and the distances are computed."""
+LATENCY_TRIALS = 30
+AFTER_SWITCH_S = 2.0
+"""The old backend's process ends in this time."""
+LEAST_MOVING = 0.1
+"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on a busy machine."""
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
 
 
-def fitted(record: Record) -> tuple[Any, Any, float]:
-    """Greatest |acceleration| and |jerk| (7,) of cubics through `WINDOW` ms of positions, and the share judged.
+class Ledger:
+    """What happened in one part, a line of JSON each, kept over several goes.
 
-    By the times at which the rows were written: the simulator makes up for time that it has lost.
+    Attributes:
+        folder: where it is.
+        rows: what happened so far.
     """
-    grid_s = np.arange(record.at_s[0], record.at_s[-1], STEP_S)
-    position = np.array([np.interp(grid_s, record.at_s, joint) for joint in record.position.T])
-    at_s = (np.arange(WINDOW) - WINDOW // 2) * STEP_S
-    fit = np.linalg.pinv(np.stack([np.ones(WINDOW), at_s, at_s**2 / 2.0, at_s**3 / 6.0], axis=1))
-    late = np.diff(record.at_s, prepend=record.at_s[0]) > LATE_S
-    was_late = np.interp(grid_s, record.at_s, late.astype(float)) > 0.0
-    kept = np.convolve(was_late, np.ones(2 * WINDOW + 1), mode="same") < 0.5
-    kept[: WINDOW + 1] = kept[-WINDOW - 1 :] = False
-    greatest = [[np.abs(np.convolve(q, k[::-1], mode="same"))[kept].max() for q in position] for k in fit[2:]]
-    return np.array(greatest[0]), np.array(greatest[1]), float(kept.mean())
+
+    def __init__(self, folder: Path, fresh: bool) -> None:
+        if fresh:
+            shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder.resolve()
+        self._path = self.folder / "events.jsonl"
+        self._writing = threading.Lock()
+        self.rows: list[dict[str, Any]] = []
+        if self._path.exists():
+            self.rows = [json.loads(line) for line in self._path.read_text().splitlines()]
+
+    def note(self, event: str, **facts: Any) -> None:
+        """Write it down, with the monotonic time."""
+        row = {"event": event, "at_s": time.monotonic(), **facts}
+        with self._writing:
+            self.rows.append(row)
+            with self._path.open("a") as lines:
+                lines.write(json.dumps(row) + "\n")
+
+    def all(self, event: str) -> list[dict[str, Any]]:
+        """Every row of a kind."""
+        return [row for row in self.rows if row["event"] == event]
+
+    def goes(self) -> list[tuple[Path, float, float]]:
+        """Of each run in which the arm moved: its folder, when it began, and when the last thing was noted [s]."""
+        found, folder, began_s = list[tuple[Path, float, float]](), "", 0.0
+        for row in self.rows:
+            if row["event"] == "go":
+                folder, began_s = row["folder"], 0.0
+            elif row["event"] == "began":
+                began_s = row["at_s"]
+                found.append((self.folder / folder, began_s, began_s))
+            elif began_s:
+                found[-1] = (*found[-1][:2], row["at_s"])
+        return found
+
+    def done_s(self) -> float:
+        """How long the arm was moved, over all goes."""
+        return sum(last_s - began_s for _, began_s, last_s in self.goes())
+
+    @contextlib.contextmanager
+    def go(self, busy: int, factor: float) -> Iterator[FciCell]:
+        """Another go: a cell with a folder of its own."""
+        folder = self.folder / f"go-{len(self.all('go')) + 1}"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        self.note("go", folder=folder.name, load=os.getloadavg()[0], cores=os.cpu_count(), busy=busy, factor=factor)
+        with served_fci(folder, factor=factor) as cell:
+            yield cell
 
 
-def judge(record: Record, what: str) -> int:
-    """Print how near the simulator's joints came to each limit; returns how many limits were exceeded."""
-    position, velocity = record.position, record.velocity
-    lowest, highest = zip(*(velocity_bounds(q) for q in position[::EVERY]), strict=True)
-    over_velocity = np.maximum(velocity[::EVERY] - np.array(highest), np.array(lowest) - velocity[::EVERY]).max()
-    room = np.minimum(position - np.array(LOWER_RAD), np.array(UPPER_RAD) - position).min()
-    acceleration, jerk, kept = fitted(record)
-    fastest = float((acceleration / np.array(ACCELERATION_RAD_S2)).max())
-    sharpest = float((jerk / np.array(JERK_RAD_S3)).max())
-    model = pinocchio.buildModelFromXML(urdf())
-    data, frame = model.createData(), model.getFrameId(TCP_LINK)
-    robot = profile()
-    assert robot.collision is not None
-    collisions, outside, pairs = CollisionModel(robot, robot.collision), -np.inf, set()
-    for q in position[::EVERY]:
-        pinocchio.framesForwardKinematics(model, data, np.append(q, [0.0, 0.0]))
-        tcp = data.oMf[frame].translation
-        outside = max(outside, float(np.maximum(np.array(WORKSPACE_LOWER_M) - tcp, tcp - WORKSPACE_UPPER_M).max()))
-        pairs |= {(p.first, p.second) for p in collisions.near(JointSample(names=ARM_JOINTS, position=q))}
-    facts = {
-        f"nearest to a joint limit {room:.4f} rad": room < 0.0,
-        f"least room to the velocity envelope {-over_velocity:.3f} rad/s": over_velocity > 0.0,
-        f"acceleration {fastest:.0%} of 10 rad/s2": fastest > 1.0,
-        f"jerk {sharpest:.0%} of 5000 rad/s3": sharpest > 1.0,
-        f"TCP at most {outside * 1e3:.1f} mm beyond the workspace (negative: inside)": outside > 0.0,
-        f"pairs nearer than allowed: {sorted(pairs) or 'none'}": bool(pairs),
-    }
-    print(f"| {what}: {len(record.at_s) / 1000:.0f} s of joints, {kept:.0%} of them judged for acceleration | |")
-    for fact, is_over in facts.items():
-        print(f"| {fact} | {'EXCEEDED' if is_over else 'kept'} |")
-    return sum(facts.values())
+def stolen_s() -> float:
+    """Time that the hypervisor gave to others while this machine wanted to run, all cores together (proc(5), steal)."""
+    return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) * _TICK_S
 
 
-def status(cell: FciCell, faults: list[str], rates: list[float]) -> None:
-    """Take down a fault, and recover."""
+def look(cell: FciCell, ledger: Ledger, before: str) -> str:
+    """Note a new fault and how the loop is, and recover; returns the fault."""
     detail = cell.agent.modules()["robot"].get("detail") or {}
-    rates.append(float(detail.get("control_success_rate", 0.0)))
-    if fault := str(detail.get("fault", "")):
-        faults.append(fault)
-        print(f"    fault: {fault}", flush=True)
+    fault = str(detail.get("fault", ""))
+    if fault:
+        if fault != before:
+            ledger.note("fault", fault=fault)
+            print(f"    fault: {fault}", flush=True)
         with contextlib.suppress(RuntimeError):
             cell.agent.do("recover_robot")
+    ledger.note("look", rate=float(detail.get("control_success_rate", 0.0)), stolen_s=stolen_s())
+    return fault
 
 
-def policy(cell: FciCell, minutes: float, seed: int) -> tuple[float, int]:
-    """The policy with warm switches; returns when it began, and the number of faults."""
-    dice, faults, rates, gaps = random.Random(seed), list[str](), list[float](), list[float]()
+def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:
+    """The policy with warm switches, until the arm was moved for `minutes` in all goes together."""
+    dice = random.Random(seed + len(ledger.all("go")))
     cell.start_policy()
-    began_s = time.monotonic()
-    end_s = began_s + 60.0 * minutes
-    next_s, backend, failed = began_s + dice.uniform(*SWITCH_S), "sway", 0
+    left_s = 60.0 * minutes - ledger.done_s()
+    detail = cell.agent.modules()["robot"].get("detail") or {}
+    ledger.note("began", realtime=detail.get("realtime", ""))
+    end_s = time.monotonic() + left_s
+    next_s, backend, fault = time.monotonic() + dice.uniform(*SWITCH_S), "sway", ""
+    told_s = time.monotonic()
     while time.monotonic() < end_s:
         time.sleep(0.25)
-        status(cell, faults, rates)
+        fault = look(cell, ledger, fault)
+        if time.monotonic() > told_s + 60.0:
+            told_s += 60.0
+            print(f"    {ledger.done_s() / 60.0:.1f} min, {len(ledger.all('fault'))} faults", flush=True)
         if time.monotonic() < next_s:
             continue
-        backend = "swing" if backend == "sway" else "sway"
+        other = "swing" if backend == "sway" else "sway"
+        began_s = time.monotonic()
         try:
-            result = cell.agent.do("switch_inference", backend=backend)
-            gaps.append(float(result.get("gap_s") or 0.0) * 1e3)
+            result = cell.agent.do("switch_inference", backend=other)
+            ledger.note("switch", done=True, began_s=began_s, gap_ms=float(result.get("gap_s") or 0.0) * 1e3)
+            backend = other
         except RuntimeError as error:
-            failed += 1
-            backend = "swing" if backend == "sway" else "sway"
+            ledger.note("switch", done=False, began_s=began_s, why=str(error))
             print(f"    switch: {error}", flush=True)
         next_s = time.monotonic() + dice.uniform(*SWITCH_S)
-    moving = [rate for rate in rates if rate > 0.0]
-    print(f"| {minutes:g} minutes of a policy at 20 Hz | {len(faults)} faults of the arm |")
-    print(
-        f"| {len(gaps)} warm switches, {failed} failed | gap between actions: median {np.median(gaps or [0]):.0f} ms, "
-        f"worst {max(gaps or [0]):.0f} ms |"
-    )
-    print(f"| control success rate | median {np.median(moving):.2f}, worst {min(moving):.2f} |")
     cell.record(1.0)  # so that what is buffered is written
-    commands = np.fromfile(cell.folder / "record.bin.commands").reshape(-1, 11)
-    commands = commands[commands[:, 0] > began_s]
-    is_missing = np.concatenate([[False], commands[:, 2] == MISSING, [False]])
-    runs = np.diff(np.flatnonzero(np.diff(is_missing)))[::2]
-    print(f"| cycles without a command | {is_missing.sum()} in {len(runs)} runs, the longest {max(runs, default=0)} |")
-    arrivals = commands[commands[:, 2] != MISSING, 0]
-    periods = np.diff(arrivals) * 1e3
-    periods = periods[periods < 500.0]  # between two motions
-    print(
-        f"| period of the control loop, by {len(periods)} commands as they arrived | median "
-        f"{np.median(periods):.2f} ms, p99 {np.percentile(periods, 99):.2f} ms, longest {periods.max():.1f} ms |",
-        flush=True,
-    )
-    return began_s, len(faults)
+    ledger.note("ended", dropped=cell.agent.modules()["control"].get("dropped_by"))
 
 
-def actions(cell: FciCell, count: int, seed: int) -> tuple[float, int]:
-    """Random actions of any size; returns when they began, and the number of faults."""
+def actions(cell: FciCell, ledger: Ledger, count: int, seed: int) -> None:
+    """Random actions of any size."""
     from std_msgs.msg import Float64MultiArray
 
     cell.start("robot", "control")
     link = cell.link
     publisher = link.on_executor(lambda: link.node.create_publisher(Float64MultiArray, "/fr3/action", NEWEST))
-    dice, faults, rates = np.random.default_rng(seed), list[str](), list[float]()
+    dice, fault = np.random.default_rng(seed), ""
+    ledger.note("began")
     began_s = time.monotonic()
     way, bias = np.zeros(6), 0.0
     for index in range(count):
@@ -172,14 +183,135 @@ def actions(cell: FciCell, count: int, seed: int) -> tuple[float, int]:
         values = np.clip(size * direction / np.linalg.norm(direction), -1e300, 1e300)
         publisher.publish(Float64MultiArray(data=[*values.tolist(), float(dice.uniform(-1.0, 2.0))]))
         if index % 40 == 0:
-            status(cell, faults, rates)
+            fault = look(cell, ledger, fault)
         due_s = began_s + (index + 1) / ACTION_HZ
         time.sleep(max(0.0, due_s - time.monotonic()))
-    dropped = cell.agent.modules()["control"].get("dropped_by")
+    cell.record(1.0)
+    ledger.note("ended", actions=count, dropped=cell.agent.modules()["control"].get("dropped_by"))
+
+
+def latencies(ledger: Ledger, factor: float) -> None:
+    """From send() of the driver to the first motion, control loop idle and running before."""
+    record = ledger.folder / "record.bin"
+    options = (*STRICT, "--no-gripper", "--record", str(record))
+    with FrankaSim(PYTHON, seed=1, options=options, log=ledger.folder / "franka-sim.log") as sim:
+        driver = open_driver(factor)
+        try:
+            for is_running in (False, True):
+                found = latency(driver, sim, record, LATENCY_TRIALS, is_running)
+                ledger.note("latency", running=is_running, ms=[round(value, 2) for value in found])
+        finally:
+            driver.close()
+
+
+def report_latency(ledger: Ledger) -> int:
+    """Rows for docs/fr3.md; 1 when a trial is missing."""
+    for row in ledger.all("latency"):
+        loop = "running" if row["running"] else "idle"
+        print(
+            f"| {len(row['ms'])} times command -> first motion, control loop {loop} before | median "
+            f"{np.median(row['ms']):.1f} ms, worst {max(row['ms']):.1f} ms |"
+        )
+    for row in ledger.all("broken off"):
+        print(f"| broken off | {row['why'][:200]} |")
+    return int(len(ledger.all("latency")) < 2)
+
+
+def report(ledger: Ledger) -> int:
+    """Rows for docs/fr3.md; returns how much was exceeded or failed."""
+    goes = ledger.goes()
+    if not goes:
+        print("| nothing was measured | |")
+        return 1
+    loads = ", ".join(f"{row['load']:.1f}" for row in ledger.all("go"))
+    realtime = {row["realtime"] for row in ledger.all("began") if "realtime" in row}
     print(
-        f"| {count} random actions at {ACTION_HZ:g} Hz | {len(faults)} faults of the arm; control refused: {dropped} |"
+        f"| {ledger.done_s() / 60.0:.1f} minutes in {len(goes)} goes, load before each {loads} on {os.cpu_count()} "
+        f"cores | {' / '.join(sorted(realtime)) or 'no word of the scheduling'} |"
     )
-    return began_s, len(faults)
+    faults = Counter(row["fault"].split(":")[0] for row in ledger.all("fault"))
+    limits, loops, violations = Limits(), list[Loop](), 0
+    for folder, began_s, _ in goes:
+        violations += (folder / "franka-sim.log").read_text(errors="replace").count("motion limit violated")
+        if (loop := read_go(folder, began_s, limits)) is not None:
+            loops.append(loop)
+    reflexes = sum(count for fault, count in faults.items() if fault == "reflex")
+    print(f"| limits that franka-sim saw violated by a command | {violations} |")
+    print(f"| reflexes; faults of the arm | {reflexes}; {dict(faults) or 'none'} |")
+    problems = violations + sum(faults.values())
+    if broken := ledger.all("broken off"):
+        print(f"| broken off {len(broken)} times | {broken[-1]['why'][:200]} |")
+        problems += len(broken)
+    switches = ledger.all("switch")
+    if switches:
+        gaps = [row["gap_ms"] for row in switches if row["done"]]
+        print(
+            f"| warm switches: {len(gaps)} done, {len(switches) - len(gaps)} missed | gap between actions: median "
+            f"{np.median(gaps or [0]):.0f} ms, worst {max(gaps, default=0):.0f} ms |"
+        )
+    for row in ledger.all("ended"):
+        what = f"{row['actions']} random actions at {ACTION_HZ:g} Hz" if "actions" in row else "the policy's actions"
+        print(f"| {what} | control refused: {row['dropped'] or 'none'} |")
+    if loops:
+        print_loops(loops)
+        missed = sum(
+            int(
+                loop.run_cycles[(loop.run_at_s > row["began_s"]) & (loop.run_at_s < row["at_s"] + AFTER_SWITCH_S)].sum()
+            )
+            for row in switches
+            for loop in loops
+        )
+        lasted_s = sum(row["at_s"] + AFTER_SWITCH_S - row["began_s"] for row in switches)
+        print(f"| of these, during a switch or within {AFTER_SWITCH_S:g} s after it | {missed}, in {lasted_s:.0f} s |")
+    looks = ledger.all("look")
+    if rates := [row["rate"] for row in looks if row["rate"] > 0.0]:
+        print(f"| control success rate | median {np.median(rates):.2f}, worst {min(rates):.2f} |")
+    stolen = np.array([row["stolen_s"] for row in looks])
+    if len(stolen) > 1:
+        steps_ms = np.maximum(np.diff(stolen), 0.0) * 1e3
+        print(f"| time the hypervisor gave to others | {steps_ms.sum():.0f} ms, {steps_ms.max():.0f} ms at the most |")
+    problems += limits.print()
+    if switches and limits.moving_s < LEAST_MOVING * limits.judged_s:
+        print(f"| the arm stood for more than {1.0 - LEAST_MOVING:.0%} of the time | FAILED |")
+        problems += 1
+    return problems
+
+
+@contextlib.contextmanager
+def beside(count: int) -> Iterator[None]:
+    """Busy processes, which end with this one."""
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait(timeout=20.0)
+
+
+@contextlib.contextmanager
+def broken_off(ledger: Ledger) -> Iterator[None]:
+    """Note an error that ends the block; what was measured before it is judged all the same."""
+    try:
+        yield
+    except (RuntimeError, OSError, SystemExit) as error:
+        ledger.note("broken off", why=str(error))
+        print(f"    broken off: {error}", flush=True)
+
+
+def run(part: str, ledger: Ledger, busy: int, arguments: argparse.Namespace) -> None:
+    """What of this part is not done yet; what ended it early is noted."""
+    with beside(busy), broken_off(ledger):
+        if part == "latency":
+            if len(ledger.all("latency")) < 2:
+                latencies(ledger, arguments.factor)
+        elif part == "policy":
+            if ledger.done_s() < 60.0 * arguments.minutes - 1.0:
+                with ledger.go(busy, arguments.factor) as cell:
+                    policy(cell, ledger, arguments.minutes, arguments.seed)
+        elif not ledger.all("ended"):
+            with ledger.go(busy, arguments.factor) as cell:
+                actions(cell, ledger, arguments.actions, arguments.seed)
 
 
 def main() -> int:
@@ -187,34 +319,30 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--actions", type=int, default=10_000)
-    parser.add_argument("--load", type=int, default=0, help="busy processes beside it")
-    parser.add_argument("--parts", default="policy,random")
+    parser.add_argument("--busy", default="0,8", help="how many busy processes beside it; several after one another")
+    parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--factor", type=float, default=0.3, help="dynamics_factor; its default is 0.3")
+    parser.add_argument("--out", type=Path, default=OUT, help="where everything is written")
+    parser.add_argument("--fresh", action="store_true", help="begin anew")
+    parser.add_argument("--judge", action="store_true", help="run nothing, print what is there")
     arguments = parser.parse_args()
-    print(
-        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, {arguments.load} busy processes beside it, "
-        f"dynamics_factor {arguments.factor}"
-    )
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(arguments.load)]
+    parts = arguments.parts.split(",")
+    if unknown := set(parts) - set(PARTS):
+        parser.error(f"no such part: {', '.join(sorted(unknown))}")
     problems = 0
-    try:
-        for part in arguments.parts.split(","):
-            with (
-                tempfile.TemporaryDirectory(prefix=f"fci-{part}-") as folder,
-                served_fci(Path(folder), factor=arguments.factor) as cell,
-            ):
-                if part == "policy":
-                    began_s, faults = policy(cell, arguments.minutes, arguments.seed)
-                else:
-                    began_s, faults = actions(cell, arguments.actions, arguments.seed)
-                broken = cell.sim_log().count("motion limit violated")
-                print(f"| limits that franka-sim saw violated by a command | {broken} |")
-                problems += faults + broken + judge(cell.record().since(began_s), part)
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait(timeout=20.0)
+    for busy in map(int, arguments.busy.split(",")):
+        for part in parts:
+            ledger = Ledger(arguments.out / f"{part}-busy{busy}", arguments.fresh and not arguments.judge)
+            print(
+                f"{part}, {busy} busy processes beside it, dynamics_factor {arguments.factor}, load average "
+                f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+                flush=True,
+            )
+            if not arguments.judge:
+                run(part, ledger, busy, arguments)
+            problems += report_latency(ledger) if part == "latency" else report(ledger)
+            sys.stdout.flush()
     return 1 if problems else 0
 
 

@@ -76,7 +76,7 @@ def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_
     python = str(venv / "bin" / "python")
     packages = [
         "roboneuron-core",
-        *(f"plugins/{n}" for n in ("rn-robot-fr3", "rn-controller-urdf", "rn-backend-servo")),
+        *(f"plugins/{n}" for n in ("rn-robot-fr3", "rn-simulation", "rn-controller-urdf", "rn-backend-servo")),
     ]
     command = [python, "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
     subprocess.run([*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600)

@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PLUGINS = ("robot-fr3", "robot-bases", "controller-urdf", "backend-servo", "demo", "ops")
+PLUGINS = ("robot-fr3", "robot-bases", "simulation", "controller-urdf", "backend-servo", "demo", "console", "ops")
 PACKAGES = ("roboneuron-core", *(f"plugins/rn-{name}" for name in PLUGINS))
 NOT_COMPILED = "pybullet,mujoco,numpy,pin,coal,pillow"
 INSTALL_LIMIT_S, RUN_LIMIT_S = 1200, 600

@@ -11,9 +11,9 @@ pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 
 from rn_backend_servo.backend import ServoBackend
 from rn_controller_urdf.controller import UrdfController
-from rn_robot_fr3.engine import ENGINES
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from rn_simulation.engine import ENGINES
 from roboneuron.contract import Action, ActionChunk, Frame, JointCommand, JointSample, Observation
 from roboneuron.plugins.availability import is_importable
 

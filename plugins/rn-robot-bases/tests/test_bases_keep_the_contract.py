@@ -6,6 +6,7 @@ import pytest
 
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.plugin import roboneuron_robots
+from rn_simulation.engine import REQUIREMENT
 from rn_testing import RobotCase, RobotContract
 
 SPECS = {spec.name: spec for spec in roboneuron_robots()}
@@ -21,3 +22,7 @@ class TestBases(RobotContract):
 
 def test_every_platform_is_offered() -> None:
     assert set(SPECS) == set(PLATFORMS)
+
+
+def test_every_driver_needs_one_of_the_engines() -> None:
+    assert {driver.requires for spec in SPECS.values() for driver in spec.drivers} == {(REQUIREMENT,)}

@@ -9,10 +9,10 @@ from itertools import pairwise
 import pytest
 
 from rn_robot_bases.drivetrain import BaseVelocity
-from rn_robot_bases.engine import Engine
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
+from rn_simulation.engine import Engine
 from roboneuron.errors import RefusedError, StateError
 
 EVERY_PLATFORM = pytest.mark.parametrize("platform", PLATFORMS.values(), ids=PLATFORMS.keys())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rn_robot_fr3.engine import ENGINES, Engine
+from rn_simulation.engine import ENGINES, Engine
 from roboneuron.plugins.availability import is_importable
 
 

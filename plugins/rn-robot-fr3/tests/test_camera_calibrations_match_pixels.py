@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.simulation import Simulation
+from rn_simulation.engine import Engine
 from roboneuron.contract import CameraCalibration
 from roboneuron.contract.rotation import matrix_from_quaternion
 

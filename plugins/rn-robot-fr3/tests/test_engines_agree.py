@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.driver import SimulatedDriver
-from rn_robot_fr3.engine import ENGINES, REQUIREMENT, Engine, choose_engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
 from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.world import build_world
+from rn_simulation.engine import ENGINES, REQUIREMENT, Engine, choose_engine
 from rn_testing.fakes import MemoryTopics
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.availability import explain, is_importable, missing
@@ -84,6 +85,11 @@ def test_engine_that_is_installed_is_chosen(
     installed(monkeypatch, *names)
     assert choose_engine("auto") == chosen
     assert missing([REQUIREMENT]) == ()
+
+
+def test_simulation_and_cameras_need_one_of_the_engines() -> None:
+    simulated = next(driver for driver in roboneuron_robots()[0].drivers if driver.name == "simulated")
+    assert simulated.requires == roboneuron_perceptions()[0].requires == (REQUIREMENT,)
 
 
 def test_without_an_engine_the_refusal_names_both_and_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.simulation import STEP_S, Simulation
+from rn_simulation.engine import Engine
 
 
 def solve(target: pin.SE3, seed_rad: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,12 +11,12 @@ import pytest
 
 from rn_robot_fr3.camera_source import SimulatedCameras
 from rn_robot_fr3.cameras import cameras
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_simulation.engine import Engine
 from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraProfile
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError

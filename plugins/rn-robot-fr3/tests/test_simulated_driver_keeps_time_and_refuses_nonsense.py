@@ -12,12 +12,11 @@ from pydantic import ValidationError
 from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.driver import SimulatedDriver
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.options import SimulatedDriverOptions
-from rn_robot_fr3.pace import Pace
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.state_message import TOPIC, from_message, to_message
+from rn_simulation.engine import Engine
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from roboneuron.contract import JointCommand
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
@@ -157,13 +156,3 @@ def test_message_that_is_no_scene_is_refused(driver: SimulatedDriver, topics: Me
     short.data = list(short.data)[:-1]
     with pytest.raises(InvalidInputError, match="values"):
         from_message(short)
-
-
-def test_pace_counts_what_is_due_and_drops_what_cannot_be_caught_up() -> None:
-    pace = Pace(step_s=0.01, factor=1.0)
-    assert pace.due_steps(100.0) == 0
-    assert pace.due_steps(100.025) == 2
-    assert pace.until_next_s(100.025) == pytest.approx(0.005, abs=1e-9)
-    assert pace.due_steps(103.0) == 5
-    assert pace.due_steps(103.0) == 0
-    assert pace.achieved_factor < 0.1

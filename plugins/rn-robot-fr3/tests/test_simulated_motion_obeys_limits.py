@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, FINGER_JOINT, UPPER_RAD, VELOCITY_RAD_S
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.simulation import STEP_S, Simulation
+from rn_simulation.engine import Engine
 from roboneuron.errors import InvalidInputError, StateError
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -16,29 +14,23 @@ from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
+from rn_simulation.real_time import RealTimeThread
 from roboneuron import (
     TWIST_FIELDS,
     ConfigurationError,
     InvalidInputError,
     JointCommand,
     JointSample,
-    NotReadyError,
     RefusedError,
-    RoboNeuronError,
     RobotProfile,
     RobotState,
     StateError,
     Topics,
-    UnsafeError,
     check_twist,
 )
 
-_START_TIMEOUT_S = 30.0
-_STOP_TIMEOUT_S = 5.0
-_STEPS_PER_BEAT = 2
-_BEAT_S = _STEPS_PER_BEAT * STEP_S
-_MOST_BEATS_AT_ONCE = 24
-"""What the simulation catches up after a pause of the machine: 0.2 s, less than the deadman; the rest is dropped."""
+_CATCH_UP_S = 0.2
+"""What the simulation makes up for after a pause of the machine; less than the deadman."""
 
 
 class SimulatedBase:
@@ -56,12 +48,10 @@ class SimulatedBase:
         self._topics = topics
         self._simulation: Simulation | None = None
         self._publish: Callable[[Odometry], None] | None = None
-        self._stepping = threading.Lock()
-        self._thread: threading.Thread | None = None
-        self._started = threading.Event()
-        self._stop = threading.Event()
+        self._time = RealTimeThread(
+            profile.name, step_s=STEP_S, catch_up_s=_CATCH_UP_S, publish_rate_hz=self._options.odometry_rate_hz
+        )
         self._newest: tuple[BaseState, int] | None = None
-        self._failure: Exception | None = None
         self._refusal = ""
         self._refusals = 0
 
@@ -74,26 +64,18 @@ class SimulatedBase:
             StateError: it is open already.
         """
         name = self._profile.name
-        if self._thread is not None:
-            raise StateError(f"The simulated {name} is open already.")
+        self._time.check_stopped()
         if name not in PLATFORMS:
             raise ConfigurationError(f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}.")
         self._simulation = Simulation(
             PLATFORMS[name], command_timeout_s=self._options.command_timeout_s, engine=self._options.engine
         )
-        self._started.clear()
-        self._stop.clear()
-        self._failure, self._newest = None, None
+        self._newest = None
         self._refusal, self._refusals = "", 0
         if self._publish is None:
             self._publish = self._topics.advertise(ODOMETRY, Odometry)
             self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
-        self._thread = threading.Thread(target=self._run, name=f"{name}-simulation", daemon=True)
-        self._thread.start()
-        if not self._started.wait(_START_TIMEOUT_S):
-            self.close()
-            raise NotReadyError(f"The simulated {name} did not start within {_START_TIMEOUT_S:g} s.")
-        self._check_started()
+        self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
         """Return the newest state: joints are wheels and steering hinges.
@@ -139,25 +121,22 @@ class SimulatedBase:
     def hold(self) -> None:
         """Brake to a standstill. Raises as `read`."""
         simulation = self._running()
-        with self._stepping:
+        with self._time.stepping:
             simulation.hold()
 
     def close(self) -> None:
         """End the simulation; may be called twice and before `open`."""
-        self._stop.set()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join(_STOP_TIMEOUT_S)
+        self._time.stop()
         self._newest = None
 
     def _on_twist(self, message: Twist) -> None:
         """Called by the host's executor; it must not raise."""
         simulation = self._simulation
-        if self._thread is None or simulation is None or self._failure is not None:
+        if simulation is None or not self._time.is_running:
             return
         linear, angular = message.linear, message.angular
         values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-        with self._stepping:
+        with self._time.stepping:
             try:
                 check_twist(velocity_endpoint(simulation.platform), dict(zip(TWIST_FIELDS, values, strict=True)))
                 simulation.drive(linear.x, angular.z)
@@ -168,51 +147,15 @@ class SimulatedBase:
             else:
                 self._refusal = ""
 
-    def _check_started(self) -> None:
-        failure = self._failure
-        if failure is None:
-            return
-        self.close()
-        if isinstance(failure, RoboNeuronError):
-            raise failure
-        raise NotReadyError(f"The simulated {self._profile.name} did not start: {failure}.") from failure
-
     def _running(self) -> Simulation:
-        if self._thread is None or self._simulation is None:
-            raise StateError(f"The simulated {self._profile.name} is not open.")
-        if self._failure is not None:
-            raise UnsafeError(f"The simulation stopped: {self._failure}.", hint="Stop and start the robot.")
+        self._time.check_running()
+        assert self._simulation is not None
         return self._simulation
 
-    def _run(self) -> None:
+    def _advance(self, steps: int, factor: float, publish: bool) -> None:
         simulation = self._simulation
         assert simulation is not None
-        try:
-            with simulation:
-                self._advance(simulation, 0, publish=True)
-                self._started.set()
-                self._keep_pace(simulation)
-        except Exception as error:  # the thread's border: open(), read() and hold() raise it
-            self._failure = error
-            self._started.set()
-
-    def _keep_pace(self, simulation: Simulation) -> None:
-        due_s = time.monotonic() + _BEAT_S
-        publish_s = time.monotonic()
-        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
-            now_s = time.monotonic()
-            beats = int((now_s - due_s) / _BEAT_S) + 1
-            if beats > _MOST_BEATS_AT_ONCE:
-                beats, due_s = _MOST_BEATS_AT_ONCE, now_s
-            else:
-                due_s += beats * _BEAT_S
-            is_due = now_s >= publish_s
-            if is_due:
-                publish_s = max(publish_s + 1.0 / self._options.odometry_rate_hz, now_s - _BEAT_S)
-            self._advance(simulation, beats * _STEPS_PER_BEAT, publish=is_due)
-
-    def _advance(self, simulation: Simulation, steps: int, *, publish: bool) -> None:
-        with self._stepping:
+        with self._time.stepping:
             simulation.step(steps)
             state = simulation.state()
         stamp_ns = self._topics.now_ns()

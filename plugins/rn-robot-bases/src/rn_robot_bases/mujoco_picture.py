@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_bases.mujoco_world import VISUAL_GROUP, read_platform
+from rn_robot_bases.description import urdf
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
+from rn_simulation.mujoco_scene import cast_rays, read_urdf
 
 F64 = NDArray[np.float64]
 
 _AMBIENT, _DIFFUSE = 0.6, 0.5
 _LIGHT_DIRECTION = np.array([-0.6, -1.0, 2.0])
 _FAR_M = 1000.0
-_DRAWN = np.array([group == VISUAL_GROUP for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
 
 
 def draw_robots(
@@ -29,16 +29,14 @@ def draw_robots(
     for index, pose in enumerate(poses):
         turn = (math.cos(pose.yaw_rad / 2), 0.0, 0.0, math.sin(pose.yaw_rad / 2))
         place = scene.worldbody.add_frame(pos=(pose.x_m, pose.y_m, 0.0), quat=turn)
-        scene.attach(read_platform(platform), frame=place, prefix=f"{index}/")
+        scene.attach(read_urdf(urdf(platform)), frame=place, prefix=f"{index}/")
     model = scene.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     origin, rays = _rays(view, projection, size)
-    count = len(rays)
-    geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
-    mujoco.mj_multiRay(model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, _FAR_M)
+    geoms, normals = cast_rays(model, data, origin, rays, _FAR_M)
     light = _LIGHT_DIRECTION / np.linalg.norm(_LIGHT_DIRECTION)
-    brightness = _AMBIENT + _DIFFUSE * np.maximum(normals.reshape(-1, 3) @ light, 0.0)
+    brightness = _AMBIENT + _DIFFUSE * np.maximum(normals @ light, 0.0)
     colours = np.minimum(255.0 * model.geom_rgba[geoms, :3] * brightness[:, None], 255.0).astype(np.uint8)
     return colours.reshape(size[1], size[0], 3), (geoms >= 0).reshape(size[1], size[0])
 

@@ -12,6 +12,7 @@ from rn_robot_bases.drivetrain import JointTargets, JointValues
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_robot_bases.world import HINGE_TORQUE_NM, START_HEIGHT_M
+from rn_simulation.mujoco_scene import read_urdf
 
 _SUBSTEPS = 4
 """Physics steps per step: contacts are springs, and a skidding wheel hops on soft ones."""
@@ -19,14 +20,6 @@ _STIFFNESS_PER_NM, _DAMPING_PER_NM, _ARMATURE_PER_NM = 10.0, 0.2, 0.001
 """A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped for its own inertia."""
 _CONTACT_SPRING, _CONTACT_IMPEDANCE = (0.0025, 1.0), (0.999, 0.9999, 0.001, 0.5, 2.0)
 """Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would notice."""
-VISUAL_GROUP = 1
-"""Group of the geoms that are drawn; MuJoCo's reader of URDF puts `<visual>` there and `<collision>` into group 0."""
-
-
-def read_platform(platform: Platform) -> mujoco.MjSpec:
-    """The platform as MuJoCo reads its description."""
-    compiler = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco></robot>'
-    return mujoco.MjSpec.from_string(urdf(platform).replace("</robot>", compiler))
 
 
 class MujocoWorld:
@@ -34,7 +27,7 @@ class MujocoWorld:
 
     def __init__(self, platform: Platform, step_s: float) -> None:
         """Build."""
-        spec = read_platform(platform)
+        spec = read_urdf(urdf(platform))
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0))
         base = spec.body(platform.base_link)
         base.add_freejoint(name=platform.base_link)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from rn_robot_bases.engine import EngineChoice
+from rn_simulation.engine import EngineChoice
 
 
 class SimulatedBaseOptions(BaseModel):

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from rn_robot_bases.ackermann import AckermannDrivetrain, AckermannGeometry
 from rn_robot_bases.differential import DifferentialDrivetrain, DifferentialGeometry
 from rn_robot_bases.drivetrain import Drivetrain
-from rn_robot_bases.engine import Engine
+from rn_simulation.engine import Engine
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

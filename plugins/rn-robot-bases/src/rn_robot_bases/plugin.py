@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_robot_bases.engine import REQUIREMENT
-from roboneuron import DriverSpec, RobotSpec, hookimpl
+from roboneuron import DriverSpec, Requirement, RobotSpec, hookimpl
+
+_ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
+"""As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
 
 
 def _base(name: str, summary: str) -> RobotSpec:
@@ -21,7 +23,7 @@ def _base(name: str, summary: str) -> RobotSpec:
                 summary="PyBullet or MuJoCo simulation on a flat floor, with wheel odometry",
                 target="rn_robot_bases.driver:SimulatedBase",
                 config="rn_robot_bases.options:SimulatedBaseOptions",
-                requires=(REQUIREMENT,),
+                requires=(_ENGINE,),
             ),
         ),
     )

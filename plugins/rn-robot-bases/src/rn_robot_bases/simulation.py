@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from rn_robot_bases.drivetrain import BaseVelocity, JointValues
-from rn_robot_bases.engine import EngineChoice, choose_engine
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
 from rn_robot_bases.world import World, build_world
+from rn_simulation.engine import EngineChoice, choose_engine
 from roboneuron import StateError
 
 STEP_S = 1.0 / 240.0

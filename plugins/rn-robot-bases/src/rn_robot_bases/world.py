@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from rn_robot_bases.drivetrain import JointTargets, JointValues
-from rn_robot_bases.engine import Engine
 from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
+from rn_simulation.engine import Engine
 
 HINGE_TORQUE_NM = 10.0
 START_HEIGHT_M = 0.002

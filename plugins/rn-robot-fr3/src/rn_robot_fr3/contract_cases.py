@@ -7,12 +7,12 @@ import math
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.engine import choose_engine
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_simulation.engine import choose_engine
 from rn_testing.cases import PerceptionCase, RobotCase
 from rn_testing.fakes import MemoryTopics
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -13,25 +11,19 @@ from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.options import SimulatedDriverOptions
-from rn_robot_fr3.pace import Pace
 from rn_robot_fr3.simulation import STEP_S, Simulation, opening
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
 from rn_robot_fr3.world import JOINTS
+from rn_simulation.real_time import RealTimeThread
 from roboneuron import (
     ConfigurationError,
     JointCommand,
     JointSample,
-    NotReadyError,
-    RoboNeuronError,
     RobotProfile,
     RobotState,
     StateError,
     Topics,
-    UnsafeError,
 )
-
-_START_TIMEOUT_S = 30.0
-_STOP_TIMEOUT_S = 10.0
 
 
 class SimulatedDriver:
@@ -50,13 +42,14 @@ class SimulatedDriver:
         self._simulation = Simulation(
             self._options.seed, colours=self._options.colours, engine=self._options.engine, gui=self._options.gui
         )
-        self._stepping = threading.Lock()
-        self._thread: threading.Thread | None = None
-        self._started = threading.Event()
-        self._stop = threading.Event()
+        self._time = RealTimeThread(
+            "FR3",
+            step_s=STEP_S,
+            factor=self._options.real_time_factor,
+            publish_rate_hz=self._options.state_rate_hz,
+        )
         self._state: RobotState | None = None
         self._detail: dict[str, str] = {}
-        self._failure: Exception | None = None
 
     def open(self) -> None:
         """Build the scene and let time run; the robot stands at home with an open gripper.
@@ -66,23 +59,14 @@ class SimulatedDriver:
             NotReadyError: the simulation did not start in time.
             StateError: it is open already.
         """
-        if self._thread is not None:
-            raise StateError("The simulated FR3 is open already.")
+        self._time.check_stopped()
         if self._profile.arm_joints != ARM_JOINTS:
             raise ConfigurationError(
                 f"The simulated FR3 moves {', '.join(ARM_JOINTS)}, the profile {self._profile.name!r} has others."
             )
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
-        self._started.clear()
-        self._stop.clear()
-        self._failure = None
-        self._thread = threading.Thread(target=self._run, name="fr3-simulation", daemon=True)
-        self._thread.start()
-        if not self._started.wait(_START_TIMEOUT_S):
-            self.close()
-            raise NotReadyError(f"The simulated FR3 did not start within {_START_TIMEOUT_S:g} s.")
-        self._check_started()
+        self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
         """Return the newest state, measured 120 times per second; see `RobotState.detail` for the cubes.
@@ -94,7 +78,7 @@ class SimulatedDriver:
             StateError: not open.
             UnsafeError: the simulation failed while running.
         """
-        self._check_running()
+        self._time.check_running()
         state = self._state
         if state is None:
             raise StateError("The simulated FR3 is not open.")
@@ -110,68 +94,25 @@ class SimulatedDriver:
             InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0; nothing is sent.
             StateError, UnsafeError: as `read`.
         """
-        self._check_running()
-        with self._stepping:
+        self._time.check_running()
+        with self._time.stepping:
             sent = self._simulation.set_target(command.names, command.position, command.duration_s)
         return replace(command, position=sent.position, duration_s=sent.duration_s)
 
     def hold(self) -> None:
         """Brake the arm to a standstill; the gripper keeps its grasp. Raises as `read`."""
-        self._check_running()
-        with self._stepping:
+        self._time.check_running()
+        with self._time.stepping:
             self._simulation.hold()
 
     def close(self) -> None:
         """End the simulation; may be called twice and before `open`."""
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join(_STOP_TIMEOUT_S)
-            self._thread = None
+        self._time.stop()
         self._state = None
 
-    def _check_started(self) -> None:
-        failure = self._failure
-        if failure is None:
-            return
-        self.close()
-        if isinstance(failure, RoboNeuronError):
-            raise failure
-        raise NotReadyError(f"The simulated FR3 did not start: {failure}.") from failure
-
-    def _check_running(self) -> None:
-        if self._thread is None:
-            raise StateError("The simulated FR3 is not open.")
-        if self._failure is not None:
-            raise UnsafeError(f"The simulation stopped: {self._failure}.", hint="Stop and start the robot.")
-
-    def _run(self) -> None:
-        try:
-            with self._simulation:
-                self._advance(0, 0.0, publish=True)
-                self._started.set()
-                self._keep_pace()
-        except Exception as error:  # the thread's border: open(), read(), send() and hold() raise it
-            self._failure = error
-            self._started.set()
-
-    def _keep_pace(self) -> None:
-        pace = Pace(step_s=STEP_S, factor=self._options.real_time_factor)
-        period_s = 1.0 / self._options.state_rate_hz
-        published_s = time.monotonic()
-        while not self._stop.is_set():
-            steps = pace.due_steps(time.monotonic())
-            if steps == 0:
-                self._stop.wait(pace.until_next_s(time.monotonic()))
-                continue
-            now_s = time.monotonic()
-            is_due = now_s - published_s >= period_s
-            if is_due:
-                published_s = max(published_s + period_s, now_s - period_s)
-            self._advance(steps, pace.achieved_factor, publish=is_due)
-
-    def _advance(self, steps: int, factor: float, *, publish: bool) -> None:
+    def _advance(self, steps: int, factor: float, publish: bool) -> None:
         simulation = self._simulation
-        with self._stepping:
+        with self._time.stepping:
             simulation.step(steps)
             position, velocity = simulation.joint_states()
             cubes = simulation.cubes() if publish else None

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.description import TCP_LINK, urdf
-from rn_robot_fr3.engine import Engine
-from rn_robot_fr3.raycast import VISUAL_GROUP, render
+from rn_robot_fr3.raycast import render
 from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
 from rn_robot_fr3.world import (
     CUBE_FRICTION,
@@ -23,6 +22,8 @@ from rn_robot_fr3.world import (
     WOOD_KG_M3,
     RawPose,
 )
+from rn_simulation.engine import Engine
+from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
 from roboneuron import CameraCalibration, ConfigurationError
 
 F64 = NDArray[np.float64]
@@ -40,11 +41,6 @@ _CONTACT_SPRING = (0.005, 1.0)
 _CONTACT_IMPEDANCE = (0.98, 0.999, 0.001, 0.5, 2.0)
 
 
-def _read_robot() -> mujoco.MjSpec:
-    compiler = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco></robot>'
-    return mujoco.MjSpec.from_string(urdf().replace("</robot>", compiler))
-
-
 class MujocoWorld:
     """One MuJoCo model and its state; follows the protocol `World`."""
 
@@ -57,7 +53,7 @@ class MujocoWorld:
                 "The simulation was asked for a window, which it has with PyBullet only.",
                 hint="Set gui = false, or use PyBullet on Python 3.11: pip compiles it on newer versions.",
             )
-        spec = _read_robot()
+        spec = read_urdf(urdf())
         _prepare_robot(spec)
         _add_table(spec)
         for cube in cubes:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_robot_fr3.engine import REQUIREMENT
 from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
 
 _INSTALL = "pip install ./plugins/rn-interfaces-control ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
 ROS2_CONTROL = Requirement(module="rn_driver_ros2control", install=_INSTALL)
 CONTROL_MSGS = Requirement(module="control_msgs", install=_INSTALL)
+_ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
+"""As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
 
 
 @hookimpl
@@ -30,7 +31,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
                     target="rn_robot_fr3.driver:SimulatedDriver",
                     config="rn_robot_fr3.options:SimulatedDriverOptions",
-                    requires=(REQUIREMENT,),
+                    requires=(_ENGINE,),
                 ),
                 DriverSpec(
                     name="ros2-control",
@@ -63,7 +64,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             target="rn_robot_fr3.camera_source:SimulatedCameras",
             config="rn_robot_fr3.options:SimulatedCamerasOptions",
             case="rn_robot_fr3.contract_cases:cameras_case",
-            requires=(REQUIREMENT,),
+            requires=(_ENGINE,),
             robots=("fr3",),
             drivers=("simulated", "fci"),
         )

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.renderer import render
 from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
 from rn_robot_fr3.world import (
@@ -27,6 +26,7 @@ from rn_robot_fr3.world import (
     WOOD_KG_M3,
     RawPose,
 )
+from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 
 F64 = NDArray[np.float64]

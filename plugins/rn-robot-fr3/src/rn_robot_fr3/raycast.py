@@ -1,8 +1,4 @@
-"""Pictures of a MuJoCo world: one ray for each pixel, cast on the CPU by MuJoCo itself.
-
-MuJoCo's own renderer needs OpenGL from the system (EGL or OSMesa), which pip cannot install; its ray caster needs
-nothing, and a scene of boxes and cylinders takes it less time than software OpenGL.
-"""
+"""Pictures of a MuJoCo world: one ray for each pixel, cast on the CPU by MuJoCo itself."""
 
 from __future__ import annotations
 
@@ -13,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
+from rn_simulation.mujoco_scene import cast_rays
 from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
 
-VISUAL_GROUP = 1
-"""Group of the geoms that are drawn; MuJoCo's reader of URDF puts `<visual>` there and `<collision>` into group 0."""
 FAR_M = 8.0
-_DRAWN = np.array([group == VISUAL_GROUP for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
 
 
 def render(
@@ -38,14 +32,12 @@ def render(
         calibration: intrinsics for `width` x `height` and the camera's pose in its mount frame.
         T_base_mount: float64 (4, 4), pose of the mount frame in the base frame.
     """
-    pose, count = T_base_mount @ calibration.T_mount_camera, width * height
+    pose = T_base_mount @ calibration.T_mount_camera
     rays = _rays(tuple(calibration.intrinsics.ravel().tolist()), width, height) @ pose[:3, :3].T
-    geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
-    origin = np.ascontiguousarray(pose[:3, 3])
-    mujoco.mj_multiRay(model, data, origin, rays.ravel(), _DRAWN, True, -1, geoms, distances, normals, count, FAR_M)
+    geoms, normals = cast_rays(model, data, np.ascontiguousarray(pose[:3, 3]), rays, FAR_M)
     hit = np.flatnonzero(geoms >= 0)
     light = np.array(LIGHT_DIRECTION) / np.linalg.norm(LIGHT_DIRECTION)
-    brightness = AMBIENT + DIFFUSE * np.maximum(normals.reshape(-1, 3)[hit] @ light, 0.0)
+    brightness = AMBIENT + DIFFUSE * np.maximum(normals[hit] @ light, 0.0)
     image = np.broadcast_to(backdrop(height), (height, width, 3)).reshape(-1, 3).copy()
     image[hit] = (255.0 * model.geom_rgba[:, :3])[geoms[hit]] * brightness.astype(np.float32)[:, None]
     return image.reshape(height, width, 3)

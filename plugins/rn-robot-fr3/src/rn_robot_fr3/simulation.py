@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cameras
 from rn_robot_fr3.command import checked
-from rn_robot_fr3.engine import EngineChoice, choose_engine
 from rn_robot_fr3.ground_truth import CubeState, LiftClock
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
@@ -27,6 +26,7 @@ from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.world import JOINTS, World, build_world
+from rn_simulation.engine import EngineChoice, choose_engine
 from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
 
 F64 = NDArray[np.float64]

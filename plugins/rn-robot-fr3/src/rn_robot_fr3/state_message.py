@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from rn_robot_fr3.engine import ENGINES, Engine
 from rn_robot_fr3.scene import RGBA_BY_COLOUR
 from rn_robot_fr3.world import JOINTS
+from rn_simulation.engine import ENGINES, Engine
 from roboneuron import InvalidInputError
 
 F64 = NDArray[np.float64]

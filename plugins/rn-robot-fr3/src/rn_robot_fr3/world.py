@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.engine import Engine
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT
 from rn_robot_fr3.scene import Cube
+from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]

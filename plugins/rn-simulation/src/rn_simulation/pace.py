@@ -4,7 +4,6 @@ from __future__ import annotations
 
 _TICK_S = 1.0 / 120.0
 """Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16 %."""
-_LARGEST_BATCH_S = 0.05
 _WINDOW_S = 1.0
 
 
@@ -15,19 +14,22 @@ class Pace:
         achieved_factor: simulated per wall seconds during the last whole second; the wanted factor before that.
     """
 
-    def __init__(self, *, step_s: float, factor: float) -> None:
-        """`step_s` is simulated time per step [s], `factor` simulated seconds wanted per second."""
+    def __init__(self, *, step_s: float, factor: float = 1.0, catch_up_s: float = 0.05) -> None:
+        """`step_s` is simulated time per step [s], `factor` simulated seconds wanted per second.
+
+        At most `catch_up_s` of wall time are made up for at once.
+        """
         self._period_s = step_s / factor
         self._step_s = step_s
         self._least_batch = max(1, round(_TICK_S / self._period_s))
-        self._largest_batch = max(1, round(_LARGEST_BATCH_S / self._period_s))
+        self._largest_batch = max(1, round(catch_up_s / self._period_s))
         self._next_s: float | None = None
         self._window_start_s = 0.0
         self._window_steps = 0
         self.achieved_factor = factor
 
     def due_steps(self, now_s: float) -> int:
-        """Steps to make now (monotonic time [s]), at most 50 ms worth; they count as made."""
+        """Steps to make now (monotonic time [s]), at most `catch_up_s` worth; they count as made."""
         if self._next_s is None:
             self._next_s = self._window_start_s = now_s
         steps = int((now_s - self._next_s) / self._period_s) if now_s > self._next_s else 0

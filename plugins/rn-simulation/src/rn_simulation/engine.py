@@ -1,4 +1,4 @@
-"""Which physics engine simulates the bases: PyBullet or MuJoCo, whichever is installed."""
+"""Which physics engine simulates a robot: PyBullet or MuJoCo, whichever is installed."""
 
 from __future__ import annotations
 
