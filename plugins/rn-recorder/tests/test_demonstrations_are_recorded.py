@@ -18,7 +18,6 @@ from rn_runs.command import Runs
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_a_demonstration_is_recorded_exported_and_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = [sys.executable, str(ROOT / "examples" / "record_demos.py")]
