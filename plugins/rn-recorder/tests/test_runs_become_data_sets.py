@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[3]
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
 DEMOS = ROOT / "out" / "demos"
 needs_lerobot = pytest.mark.skipif(
-    not LEROBOT.exists(), reason="lerobot's environment is not there: make .venv-lerobot"
+    not (ROOT / ".venv-lerobot" / ".ready").exists(), reason="lerobot's environment is not there: make .venv-lerobot"
 )
 TWO = [("pick up the cup", "success"), ("put it down", "failure")]
 
