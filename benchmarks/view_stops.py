@@ -22,8 +22,6 @@ from anyio.from_thread import start_blocking_portal
 
 from rn_console.client import spawned_server
 from roboneuron.gate.estop import FILE_NAME
-from roboneuron.ros.link import RosLink
-from roboneuron.ros.qos import NEWEST
 
 CONFIG = """
 [robot]
@@ -65,6 +63,9 @@ class Cell:
 
     def __init__(self, portal: Any, client: Any, state: Path, url: str) -> None:
         from sensor_msgs.msg import JointState
+
+        from roboneuron.ros.link import RosLink  # the environment is prepared by now
+        from roboneuron.ros.qos import NEWEST
 
         self._portal, self._client, self._state = portal, client, state
         self.url = url
