@@ -33,9 +33,9 @@ state_directory = "{state}"
 enabled = true
 port = 0
 """
-JOINT, PLACES_RAD, MOTION_S = "fr3_joint7", (-2.0, 2.2), 8.0
+JOINT, PLACES_RAD, MOTION_S = "fr3_joint7", (-2.0, 2.2), 5.0
 """A long turn of the wrist, which leaves the workspace nowhere."""
-FAST_RAD_S, STILL_RAD_S, STILL_S = 0.4, 0.02, 0.3
+FAST_RAD_S, STILL_RAD_S, STILL_S = 0.25, 0.02, 0.3
 MOST_S = 60.0
 PAGE_MS = 180_000
 NOTE_CLICKS = "() => addEventListener('click', () => { window.clicked = Date.now() / 1000; }, true)"
@@ -89,8 +89,10 @@ class Cell:
         """Turn the wrist to the place that is farther away, and return when it is fast."""
         place = max(PLACES_RAD, key=lambda place: abs(place - self.states[-1][2]))
         arguments = {"positions": {JOINT: place}, "duration_s": MOTION_S}
-        self._portal.start_task_soon(self._client.call_tool, "move_joints", arguments)
-        self.wait_until(lambda: self.states[-1][1] > FAST_RAD_S, "the arm does not move")
+        answer = self._portal.start_task_soon(self._client.call_tool, "move_joints", arguments)
+        self.wait_until(lambda: self.states[-1][1] > FAST_RAD_S or answer.done(), "the arm does not move")
+        if answer.done():
+            raise SystemExit(f"move_joints ended before it was fast: {answer.result(1.0).content}")
 
     def judge(self, clicked_s: float) -> Stop:
         """What happened after a click; waits until the joints are at rest."""
