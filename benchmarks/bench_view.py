@@ -1,10 +1,10 @@
-"""How old a picture is when a browser shows it, and how soon a click on the emergency stop reaches the latch.
+"""How old a picture is when a browser shows it, and how soon an arm stands after a click on the emergency stop.
 
-    .venv/bin/python benchmarks/bench_view.py [--seconds 20]
+    .venv/bin/python benchmarks/bench_view.py [--seconds 20] [--clicks 12]
 
 Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page, in a real browser,
-notes when its first picture changes. All clocks are this machine's.
-The stop is measured from the click to the emergency stop's file.
+notes when its first picture changes. Then the stop is clicked on the page of a server whose simulated FR3 turns its
+wrist, and measured at the joints (`view_stops.py`). All clocks are this machine's.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "plugins" / "rn-view" / "tests"))
+sys.path[:0] = [str(ROOT / "plugins" / "rn-view" / "tests"), str(Path(__file__).parent)]
 
 from view_fakes import admission  # noqa: E402
+from view_stops import Stop, measure_stops  # noqa: E402
 
 from rn_testing.domain import free_ros_domain  # noqa: E402
 from rn_view.options import ViewOptions  # noqa: E402
 from rn_view.viewer import Viewer  # noqa: E402
 from rn_view_attached.source import AttachedSource  # noqa: E402
 from roboneuron.config import load_config  # noqa: E402
-from roboneuron.gate.estop import FILE_NAME  # noqa: E402
 from roboneuron.plugins.discovery import discover  # noqa: E402
+from roboneuron.ros.environment import prepare_environment  # noqa: E402
 
 RATE_HZ, LEVELS = 10.0, 8
 WATCH = """() => {
@@ -52,15 +54,12 @@ WATCH = """() => {
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
-def measure(seconds: float) -> int:
-    """Print the tables."""
+def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, list[float]]:
+    """How many pictures were sent, and how old each was when it was shown [ms], youngest first."""
     import numpy as np
-    from playwright.sync_api import sync_playwright
 
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    state = Path(tempfile.mkdtemp())
     config = load_config(None)
-    source = AttachedSource(config, discover(), state)
+    source = AttachedSource(config, discover(), folder)
     source.open()
     from sensor_msgs.msg import Image
 
@@ -79,31 +78,23 @@ def measure(seconds: float) -> int:
         message.data = np.full(640 * 480 * 3, 20 + 28 * level, dtype=np.uint8).tobytes()
         messages.append(message)
     sent: list[tuple[float, int]] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        page = browser.new_page(viewport={"width": 700, "height": 500})
-        page.set_default_timeout(180_000)
-        page.goto(viewer.url)
-        page.get_by_text("Instruction:").wait_for(timeout=180_000)
-        page.evaluate(WATCH)
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            due_s = time.monotonic() + 1.0 / RATE_HZ
-            level = len(sent) % LEVELS
-            stamp_s = time.time()
-            messages[level].header.stamp.sec, messages[level].header.stamp.nanosec = divmod(int(stamp_s * 1e9), 10**9)
-            sent.append((stamp_s, level))
-            publish(messages[level])
-            time.sleep(max(0.0, due_s - time.monotonic()))
-        time.sleep(2.0)
-        changes = page.evaluate("() => window.changes")
-        begun_s = time.time()
-        page.get_by_text("EMERGENCY STOP").first.click(force=True)
-        deadline_s = time.time() + 30.0
-        while not (state / FILE_NAME).exists() and time.time() < deadline_s:
-            time.sleep(0.001)
-        stop_ms = ((state / FILE_NAME).stat().st_mtime - begun_s) * 1e3
-        browser.close()
+    page = browser.new_page(viewport={"width": 700, "height": 500})
+    page.set_default_timeout(180_000)
+    page.goto(viewer.url)
+    page.get_by_text("Instruction:").wait_for(timeout=180_000)
+    page.evaluate(WATCH)
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        due_s = time.monotonic() + 1.0 / RATE_HZ
+        level = len(sent) % LEVELS
+        stamp_s = time.time()
+        messages[level].header.stamp.sec, messages[level].header.stamp.nanosec = divmod(int(stamp_s * 1e9), 10**9)
+        sent.append((stamp_s, level))
+        publish(messages[level])
+        time.sleep(max(0.0, due_s - time.monotonic()))
+    time.sleep(2.0)
+    changes = page.evaluate("() => window.changes")
+    page.close()
     viewer.close()
     camera.close()
     source.close()
@@ -112,20 +103,46 @@ def measure(seconds: float) -> int:
         before = [s for s, other in sent if other == level and s <= at_s]
         if before:
             ages_ms.append((at_s - before[-1]) * 1e3)
+    return len(sent), sorted(ages_ms)
+
+
+def table(title: str, rows: dict[str, list[float]], digits: int = 0) -> None:
+    """Print median and worst of each row."""
+    print(f"\n| {title} | median | worst |\n|---|---|---|")
+    for name, values in rows.items():
+        print(f"| {name} | {statistics.median(values):.{digits}f} | {max(values):.{digits}f} |")
+
+
+def measure(seconds: float, clicks: int) -> int:
+    """Print the tables; status 1 when the machine was too busy to draw the pictures."""
+    from playwright.sync_api import sync_playwright
+
+    os.environ.update(ROS_DOMAIN_ID=str(free_ros_domain()), ROBONEURON_RECORDER="off")
+    prepare_environment(Path(tempfile.mkdtemp()))
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        sent, ages_ms = measure_pictures(browser, Path(name), seconds)
+        stops: list[Stop] = measure_stops(browser, Path(name), clicks) if clicks else []
+        browser.close()
     load = os.getloadavg()[0]
-    ages_ms.sort()
-    if len(ages_ms) < len(sent) / 2:
-        print(f"{len(ages_ms)} of {len(sent)} pictures were drawn at a load of {load:.0f}: the machine is too busy.")
+    print(f"load of the machine {load:.1f} on {os.cpu_count()} cores; {sent} pictures sent, {len(ages_ms)} shown")
+    if stops:
+        speeds = [stop.speed_rad_s for stop in stops]
+        rows = {"latch file": [stop.file_ms for stop in stops], "joints at rest": [stop.rest_ms for stop in stops]}
+        print(f"{len(stops)} clicks on the stop at {min(speeds):.2f} to {max(speeds):.2f} rad/s")
+        table("from the click to ... [ms]", rows)
+        table("from the click on [rad]", {"way of the joint": [stop.way_rad for stop in stops]}, 3)
+    if len(ages_ms) < sent / 2:
+        print(f"{len(ages_ms)} of {sent} pictures were drawn at a load of {load:.0f}: the machine is too busy.")
         return 1
-    print(f"load of the machine {load:.1f} on {os.cpu_count()} cores; {len(sent)} pictures sent, {len(ages_ms)} shown")
-    print("| source to pixels | ms |\n|---|---|")
-    print(f"| median | {statistics.median(ages_ms):.0f} |")
-    print(f"| 95 % | {ages_ms[int(0.95 * (len(ages_ms) - 1))]:.0f} |")
-    print(f"| click on the stop to its file | {stop_ms:.0f} |")
+    table("from the source to pixels [ms]", {"each picture": ages_ms})
+    print(f"95 % within {ages_ms[int(0.95 * (len(ages_ms) - 1))]:.0f} ms")
     return 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    sys.exit(measure(parser.parse_args().seconds))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of pictures (default: 20)")
+    parser.add_argument("--clicks", type=int, default=12, help="on the stop; 0: none (default: 12)")
+    arguments = parser.parse_args()
+    sys.exit(measure(arguments.seconds, arguments.clicks))

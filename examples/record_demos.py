@@ -105,7 +105,7 @@ class TapedScene:
 
     def __init__(self, scene: Scene, tape: Tape) -> None:
         self._scene, self._tape = scene, tape
-        self.tick_s, self.camera_ticks = scene.tick_s, scene.camera_ticks
+        self.tick_s, self.camera_ticks, self.judge_ticks = scene.tick_s, scene.camera_ticks, scene.judge_ticks
         self.advance, self.judge, self.state, self.watch = scene.advance, scene.judge, scene.state, scene.watch
         self.close = scene.close
 
@@ -126,6 +126,7 @@ class TapedSuite:
 
     def __init__(self, suite: Suite, tape: Tape) -> None:
         self._suite, self._tape = suite, tape
+        self.close = suite.close
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
         """See Suite."""

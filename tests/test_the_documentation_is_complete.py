@@ -74,7 +74,7 @@ def test_the_figure_of_processes_is_current() -> None:
 def test_pictures_of_the_readme_are_there_and_small() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
-    assert pictures == ["docs/assets/demo.webp", "docs/assets/processes.svg", "docs/assets/view-recording.jpg"]
+    assert pictures == ["docs/assets/demo.webp", "docs/assets/processes.svg", "docs/assets/view-live.jpg"]
     assert all((ROOT / picture).stat().st_size < 1_500_000 for picture in pictures)
 
 

@@ -1,22 +1,27 @@
 """Take the pictures of docs/view.md: a server with the simulated FR3, a client that calls its tools, and a browser.
 
-    .venv/bin/python tools/view_screenshots.py docs/assets
+    .venv/bin/python tools/view_screenshots.py              # into docs/assets; one to two minutes on a quiet machine
 
 Nothing is staged: the pictures show what a person would see, the calls are those of the client, and the third one plays
-the recording that was made meanwhile. A machine that draws the page with its processor shows lower rates than others.
+the recording that was made meanwhile. Each is taken when the page shows what it is to show; if one cannot be taken,
+none is replaced. A machine that draws the page with its processor shows lower rates than others.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import re
 import shutil
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import anyio
+from mcp import Client
 from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
 from rn_console.client import spawned_server
@@ -31,7 +36,7 @@ from rn_view_recorded.source import RecordedSource
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
 
-INSTRUCTION, SEED, PORT = "pick up the red cube", 7, 8781
+INSTRUCTION, SEED = "pick up the red cube", 7
 CONFIG = f"""
 [robot]
 name = "fr3"
@@ -48,62 +53,102 @@ state_directory = "{{state}}"
 record = true
 [view]
 enabled = true
-port = {PORT}
+port = 0
 [plugins.fr3]
 seed = {SEED}
+[plugins.fr3-sim-camera]
+width = 320
+height = 320
 """
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-MOST_MS = 300_000
+WIDE, PHONE = (1440, 860), (412, 840)
+MOST_S = 180.0
+WORKS = ("lifting", "holding")
+"""What the policy says of itself in the live pictures; it goes on saying the second."""
+RECORDED = "descending"
+"""What it says in the picture of the recording."""
+SHOWS = """words => {
+  const text = document.body.textContent;
+  const pictures = [...document.querySelectorAll('img')].filter(image => /^(blob|data):/.test(image.src));
+  const pen = Object.assign(document.createElement('canvas'), {width: 8, height: 8}).getContext('2d');
+  const isDrawn = picture => {
+    if (!picture.complete || !picture.naturalWidth) return false;
+    pen.drawImage(picture, 0, 0, 8, 8);
+    const pixels = pen.getImageData(0, 0, 8, 8).data;
+    return pixels.some((value, index) => index % 4 < 3 && Math.abs(value - pixels[index % 4]) > 8);
+  };
+  return words.some(word => text.includes(word)) && pictures.length > 1 && pictures.slice(0, 2).every(isDrawn);
+}"""
+"""Whether the page says one of the words and both cameras' pictures are more than one colour."""
+FRAMES = """() => new Promise(done => {
+  let left = 10;
+  const next = () => (left-- ? requestAnimationFrame(next) : done());
+  next();
+})"""
 
 
-async def look(browser: Browser, url: str, *, width: int, height: int) -> Page:
-    """Open the page and wait until it shows everything."""
-    page = await browser.new_page(viewport={"width": width, "height": height})
-    page.set_default_timeout(MOST_MS)
+async def look(browser: Browser, url: str, size: tuple[int, int]) -> Page:
+    """Open the page."""
+    page = await browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(MOST_S * 1e3)
     await page.goto(url)
     await page.get_by_text("Instruction:").wait_for()
     return page
 
 
-async def shoot(page: Page, path: Path) -> None:
-    """Take a picture, without the browser's notice that it has no graphics card."""
+async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
+    """Take a picture when the page shows that, without the browser's notice that it has no graphics card."""
+    await page.wait_for_function(SHOWS, arg=list(words), polling=100)
     notice = page.locator(".mantine-Notification-closeButton")
     with suppress(TimeoutError):
-        await notice.first.click(force=True, timeout=20_000)
-    await anyio.sleep(2.0)  # it fades
-    await page.screenshot(path=path, type="jpeg", quality=82)
-    print(path, flush=True)
+        await notice.first.click(force=True, timeout=3_000)
+    await page.evaluate(FRAMES)  # the notice has faded, and the scene is drawn as it is now
+    await anyio.sleep(0.7)
+    await page.screenshot(path=path, type="jpeg", quality=88)
+    print(path.name, flush=True)
+
+
+@asynccontextmanager
+async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
+    """A server with the view, and the address of its page."""
+    config, log = state / "roboneuron.toml", state / "server.log"
+    config.write_text(CONFIG.format(state=state), encoding="utf-8")
+    async with spawned_server(["--config", str(config)], log) as client:
+        with anyio.fail_after(MOST_S):
+            while not (found := re.findall(r"live view is at (\S+:\d+)", log.read_text(encoding="utf-8"))):
+                await anyio.sleep(0.1)
+        yield client, found[0]
 
 
 async def live(folder: Path, state: Path, browser: Browser) -> None:
     """An agent's calls, and two pages that look on."""
-    config = state / "roboneuron.toml"
-    config.write_text(CONFIG.format(state=state), encoding="utf-8")
-    async with spawned_server(["--config", str(config), "--log-level", "error"], state / "server.log") as client:
+    async with served(state) as (client, url):
 
-        async def call(tool: str, **arguments: Any) -> dict[str, Any]:
+        async def call(tool: str, **arguments: Any) -> None:
             answer = await client.call_tool(tool, arguments)
-            print(tool, "failed" if answer.is_error else "done", flush=True)
-            return dict(answer.structured_content or {})
+            if answer.is_error:
+                raise SystemExit(f"{tool} failed: {answer.content}")
+            print(tool, flush=True)
 
+        wide = await look(browser, url, WIDE)
         for kind in ("robot", "perception", "control"):
             await call(f"start_{kind}")
-        wide = await look(browser, f"http://127.0.0.1:{PORT}", width=1280, height=760)
-        await anyio.sleep(3.0)
         await call("start_inference", instruction=INSTRUCTION)
-        for _ in range(30):  # until it works as on a machine that has the time
-            modules = (await call("get_status"))["modules"]
-            if all(module["health"] == "ok" for module in modules):
-                break
-            await anyio.sleep(2.0)
-        await anyio.sleep(1.0)
-        await shoot(wide, folder / "view-live.jpg")
+        await shoot(wide, folder / "view-live.jpg", WORKS)
+        phone = await look(browser, url, PHONE)
         await wide.close()
-        phone = await look(browser, f"http://127.0.0.1:{PORT}", width=412, height=840)
-        await anyio.sleep(4.0)
-        await shoot(phone, folder / "view-phone.jpg")
+        await phone.evaluate(FRAMES)
+        await shoot_phone(phone, folder / "view-phone.jpg")
         await phone.close()
         await call("stop_all")
+
+
+async def shoot_phone(page: Page, path: Path) -> None:
+    """The pictures of the cameras are in a section of their own there, which is closed at first."""
+    await page.get_by_text(WORKS[1]).first.wait_for()
+    await anyio.sleep(3.0)  # the joints come
+    await page.screenshot(path=path, type="jpeg", quality=88)
+    print(path.name, flush=True)
 
 
 async def recorded(folder: Path, state: Path, browser: Browser) -> None:
@@ -116,27 +161,45 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
     viewer.open()
     source.open()
     try:
-        page = await look(browser, viewer.url, width=1280, height=760)
-        begun = next(mark for mark in source.playback.marks if mark.text.startswith("start_inference"))
-        source.playback.seek(begun.at_s + 3.5)
-        await anyio.sleep(8.0)
-        await shoot(page, folder / "view-recording.jpg")
+        page = await look(browser, viewer.url, WIDE)
+        source.playback.seek(await moment(source))
+        await shoot(page, folder / "view-recording.jpg", (RECORDED,))
+        await page.close()
     finally:
         source.close()
         viewer.close()
 
 
-async def main() -> None:
+async def moment(source: RecordedSource) -> float:
+    """When the policy had said for half a second what it says in the picture; a page must be open."""
+    at_s = next(mark.at_s for mark in source.playback.marks if mark.text.startswith("start_inference"))
+    while at_s < source.playback.duration_s:
+        at_s += 0.1
+        source.playback.seek(at_s)
+        await anyio.sleep(0.15)  # it is delivered 30 times a second
+        if any(RECORDED in row.text for row in source.snapshot().modules):
+            return at_s + 0.5
+    raise SystemExit(f"The policy never said {RECORDED!r}.")
+
+
+async def main(target: Path) -> None:
     """Take all three pictures."""
     os.environ.update(ROS_DOMAIN_ID=str(free_ros_domain()), ROBONEURON_RECORDER="on")
-    folder = Path(sys.argv[1])
     with tempfile.TemporaryDirectory() as name:
+        folder, state = Path(name) / "pictures", Path(name) / "state"
+        folder.mkdir()
+        state.mkdir()
         async with async_playwright() as playwright:
             browser = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-            await live(folder, Path(name), browser)
-            await recorded(folder, Path(name), browser)
+            await live(folder, state, browser)
+            await recorded(folder, state, browser)
             await browser.close()
+        for picture in sorted(folder.iterdir()):
+            shutil.copyfile(picture, target / picture.name)
+            print(target / picture.name, flush=True)
 
 
 if __name__ == "__main__":
-    anyio.run(main)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parents[1] / "docs" / "assets")
+    sys.exit(anyio.run(main, parser.parse_args().folder))

@@ -124,12 +124,12 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     assert {"image", "action", "joint_states", "ee_pose", "predictions", "events", "diagnostics"} <= set(by_name)
     for name in ("action", "joint_states", "predictions"):
         assert by_name[name].lost == 0, (name, by_name[name])
-    calls = [
-        json.loads(found.message.data)
-        for found in iterate(first.files, lambda topic: topic == "/roboneuron/events")
-        if json.loads(found.message.data)["what"] == "call"
-    ]
-    assert "start_inference" in [call["tool"] for call in calls]
+    events = [json.loads(found.message.data) for found in iterate(first.files, lambda t: t == "/roboneuron/events")]
+    assert "start_inference" in [event["tool"] for event in events if event["what"] == "call"]
+    started = [event["names"] for event in events if event["what"] == "change" and event["phase"] == "running"]
+    assert "instant" in [names.get("backend") for names in started]
+    seen = [json.loads(found.message.data) for found in iterate(first.files, lambda t: t.endswith("/predictions"))]
+    assert {prediction["instruction"] for prediction in seen} == {"move on"}
     actions = [found.message for found in iterate(first.files, lambda topic: topic.endswith("/action"))]
     assert len(actions) > 5
     assert all(len(action.data) == 7 for action in actions)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import resource
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from rn_runs.node import Backlog
 from rn_runs.reading import MessageDecoder, count_topics, iterate
 from rn_runs.recording import Recording, Rules
 from rn_runs.schemas import definition
-from rn_runs.store import Store
+from rn_runs.store import Run, Store
 from roboneuron import InvalidInputError, StateError
 
 STRING = "std_msgs/msg/String"
@@ -112,6 +114,10 @@ def test_what_a_killed_recorder_loses_is_at_most_half_a_second(tmp_path: Path, c
     assert store.get(run).is_complete
 
 
+def kept(run: Run) -> int:
+    return sum(1 for path in run.files for _ in read_records(path))
+
+
 def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(tmp_path: Path, clock: Clock) -> None:
     made = recording(tmp_path, clock, ring_s=0)
     run = made.start("demo", {})
@@ -125,14 +131,66 @@ def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(tmp_path: 
         assert made.state()["lost_to_disk"] > 0
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    feed(made, clock, 3, number=number)
+    number = feed(made, clock, 3, number=number)
     assert made.state()["problem"] == ""
+    lost = made.state()["lost_to_disk"]
     made.close()
     made.store.repair()
     files = made.store.get(run).files
+    assert kept(made.store.get(run)) + lost == number
+    assert all(any(True for _ in read_records(path)) for path in files)  # tries that failed leave nothing
     assert len(files) >= 2
     assert all(is_finished(path) for path in files)
     assert len(list(read_records(files[0]))) >= 40
+
+
+FULL = """
+import json, sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from test_files_survive_what_happens_to_the_recorder import Clock, feed, kept, recording
+from rn_runs.files import is_finished
+
+folder, clock = Path(sys.argv[1]), Clock()
+made = recording(folder, clock, ring_s=0)
+run = made.start("demo", {})
+number = feed(made, clock, 3)
+filler = folder / "filler"
+with filler.open("wb", buffering=0) as file:
+    try:
+        while True:
+            file.write(bytes(4096))
+    except OSError:
+        pass
+number = feed(made, clock, 5, number=number)
+problem = made.state()["problem"]
+filler.unlink()
+number = feed(made, clock, 5, number=number)
+told = {"problem": problem, "then": made.state()["problem"], "lost": made.state()["lost_to_disk"], "fed": number}
+made.close()
+made.store.repair()
+found = made.store.get(run)
+told |= {"kept": kept(found), "files": len(found.files), "open": all(is_finished(path) for path in found.files)}
+print(json.dumps(told))
+"""
+
+
+def test_a_disk_without_space_is_written_again_when_there_is_some(tmp_path: Path) -> None:
+    """A real one, of 1 MB, in a mount namespace of its own."""
+    mount = f"mount -t tmpfs -o size=1m none {tmp_path}"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        pytest.skip("this machine lets nobody mount a small disk in a namespace")
+    script = f'{mount} && exec "$0" -c "$1" {tmp_path} {Path(__file__).parent}'
+    command = ["unshare", "-rm", "sh", "-c", script, sys.executable, FULL]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["problem"] == "No space left on device"
+    assert told["then"] == ""
+    assert told["lost"] > 0
+    assert told["kept"] + told["lost"] >= told["fed"]  # nothing is lost uncounted
+    assert told["files"] >= 2
+    assert told["open"]
 
 
 def test_too_little_free_space_ends_the_part_with_an_index(tmp_path: Path, clock: Clock) -> None:

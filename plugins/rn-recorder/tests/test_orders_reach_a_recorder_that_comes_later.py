@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -70,6 +73,20 @@ def test_a_start_that_takes_long_is_waited_for(keep: Callable[..., Any], monkeyp
     process = keep(SLOW)
     assert process.wait_for_status()
     assert {} not in killed
+
+
+def test_a_recorder_that_is_stopped_is_replaced(keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STALLED_S", 1.0)
+    process = keep(OBEYS)
+    assert process.wait_for_status()
+    stopped = process.pid
+    os.kill(stopped, signal.SIGSTOP)
+    deadline_s = time.monotonic() + 60.0
+    while process.starts < 2:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    assert process.wait_for_status()
+    assert process.pid != stopped
 
 
 def test_who_asks_a_recorder_that_ends_is_told_so_at_once(keep: Callable[..., Any]) -> None:

@@ -11,12 +11,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from recorder_demonstrations import action, picture, record_run, store_in
+from recorder_expectations import expected_episode
 
 from rn_runs.lerobot import export
 from rn_runs.statistics import merge, stats_of
+from rn_runs.store import Store
 from roboneuron import ConfigurationError, InvalidInputError
 
-LEROBOT = Path(__file__).parents[3] / ".venv-lerobot" / "bin" / "python"
+ROOT = Path(__file__).parents[3]
+LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
+DEMOS = ROOT / "out" / "demos"
+needs_lerobot = pytest.mark.skipif(
+    not (ROOT / ".venv-lerobot" / ".ready").exists(), reason="lerobot's environment is not there: make .venv-lerobot"
+)
 TWO = [("pick up the cup", "success"), ("put it down", "failure")]
 
 
@@ -81,28 +88,35 @@ def test_statistics_of_parts_merge_into_those_of_the_whole() -> None:
     assert merged.count == 300
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not LEROBOT.exists(), reason="lerobot's environment is not there: make .venv-lerobot")
-def test_lerobot_opens_it_and_finds_what_was_recorded(tmp_path: Path) -> None:
-    run = record_run(store_in(tmp_path), "demo", TWO)
-    export([run], tmp_path / "set", outcome=None, fps=None, codec="av1")
-    table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
-    pictures = {
-        f"observation.images.{camera}": np.stack([picture(camera, number) for number in range(16)])
-        for camera in ("front", "hand")
-    }
-    np.savez(
-        tmp_path / "expected.npz",
-        episodes=2,
-        action=np.array([action(number) for number in range(16)]),
-        sent_ns=np.array(table["roboneuron.sent_ns"]),
-        image_ns=np.array(table["roboneuron.image_ns"]),
-        frame_index=np.array([*range(8), *range(8)]),
-        task=np.array(["pick up the cup"] * 8 + ["put it down"] * 8),
-        **pictures,
-    )
+def opened_by_lerobot(dataset: Path, expected: Path) -> str:
+    """What the check in lerobot's environment says of a data set; it must not fail."""
     checker = Path(__file__).with_name("lerobot_check.py")
-    command = [str(LEROBOT), str(checker), str(tmp_path / "set"), str(tmp_path / "expected.npz")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False, env={"PATH": "/usr/bin"})
+    command = [str(LEROBOT), str(checker), str(dataset), str(expected)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1500, check=False, env={"PATH": "/usr/bin"})
     assert done.returncode == 0, done.stderr[-3000:]
-    assert "2 episodes, 16 frames equal" in done.stdout
+    return done.stdout
+
+
+@pytest.mark.slow
+@needs_lerobot
+def test_lerobot_opens_it_and_finds_what_was_recorded(tmp_path: Path) -> None:
+    store = store_in(tmp_path)
+    runs = [record_run(store, name, [(text, "success")]) for name, text in (("one", "pick it up"), ("two", "put it"))]
+    export(runs, tmp_path / "set", outcome=None, fps=None, codec="av1")
+    (tmp_path / "expected").mkdir()
+    for number, run in enumerate(runs):
+        np.savez(tmp_path / "expected" / f"{number}.npz", **expected_episode(run.files[0]))
+    assert "2 episodes, 16 frames equal" in opened_by_lerobot(tmp_path / "set", tmp_path / "expected")
+
+
+@pytest.mark.slow
+@needs_lerobot
+@pytest.mark.timeout(1800)
+@pytest.mark.skipif(not (DEMOS / "lerobot").exists(), reason="no demonstrations are there: make record-demos N=50")
+def test_recorded_demonstrations_equal_their_files(tmp_path: Path) -> None:
+    runs = [run for run in Store(DEMOS / "runs").runs() if run.facts["outcome"] == "success"]
+    for number, run in enumerate(runs):
+        np.savez(tmp_path / f"{number:05d}.npz", **expected_episode(run.files[0]))
+    told = opened_by_lerobot(DEMOS / "lerobot", tmp_path)
+    print(told)
+    assert told.startswith(f"{len(runs)} episodes, ")

@@ -109,14 +109,13 @@ def recording_tools(store: Store, process: Callable[[], RecorderProcess | None],
             facts["note"] = arguments.note
         recorder().resume_with("", "")
         run = (await context.run(lambda _: ask({"do": "stop", "facts": facts})))["run"]
-        status = recorder().status
         found = await context.run(lambda _: store.get(run["id"]))
         return Stopped(
             id=run["id"],
             files=run["files"],
             duration_s=round((run["ended_ns"] - run["begun_ns"]) / 1e9, 3),
             size_bytes=found.size_bytes,
-            lost=int(run["lost_to_disk"]) + sum(status.get("gaps", {}).values()) + int(status.get("dropped", 0)),
+            lost=int(run["lost_to_disk"]) + int(run["missed"]),
         )
 
     async def list_recordings(arguments: ListRecordings, context: CallContext) -> Recordings:

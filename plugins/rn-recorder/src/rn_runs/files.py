@@ -93,6 +93,8 @@ class RunFile:
     def __init__(self, path: Path, about: Mapping[str, str], definitions: Mapping[str, str] | None = None) -> None:
         self.path = path
         self.messages = 0
+        self.unwritten = 0
+        """Messages in the chunk in progress: not handed to the operating system yet."""
         self.first_ns = 0
         self.last_ns = 0
         self._definitions = definitions or {}
@@ -106,6 +108,8 @@ class RunFile:
             self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError:
             self.abandon()
+            with suppress(OSError):
+                path.unlink()
             raise
 
     @property
@@ -118,14 +122,17 @@ class RunFile:
         channel = self._channels.get((record.topic, record.type))
         if channel is None:
             channel = self._channels[record.topic, record.type] = self._register(record)
+        before = self.size_bytes
         self._writer.add_message(channel, record.log_ns, record.data, record.publish_ns, record.sequence & 0xFFFFFFFF)
         self.messages += 1
+        self.unwritten = self.unwritten + 1 if self.size_bytes == before else 0
         self.first_ns = self.first_ns or record.log_ns
         self.last_ns = max(self.last_ns, record.log_ns)
 
     def flush(self) -> None:
         """Write the chunk in progress."""
         self._writer.flush()  # type: ignore[no-untyped-call]
+        self.unwritten = 0
 
     def attach(self, name: str, media_type: str, data: bytes, at_ns: int) -> None:
         """Add an attachment."""
@@ -134,6 +141,7 @@ class RunFile:
     def finish(self) -> None:
         """Write the index and close; the file is closed also when that fails."""
         try:
+            self.flush()
             self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
             self._file.close()

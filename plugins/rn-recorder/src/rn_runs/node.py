@@ -80,7 +80,9 @@ class RecorderProcess:
         self._orders: deque[dict[str, Any]] = deque()
         self._stop = threading.Event()
         self._was_dismissed = False
+        self._holds_directory = False
         self._undecodable = 0
+        self._missed_before = 0
         self._events = 0
         self._audit = AuditTail(settings.state_directory / AUDIT)
         self.recording = Recording(Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about)
@@ -112,6 +114,7 @@ class RecorderProcess:
             if time.monotonic() > until_s:
                 raise StateError(f"Another recorder works in {self._settings.directory}.")
             time.sleep(_TURN_S)
+        self._holds_directory = True
 
     def run(self, signals: Signals) -> None:
         """Encode and write until the server ends or says so."""
@@ -120,6 +123,9 @@ class RecorderProcess:
             self._turn()
             if time.monotonic() - told_s > _STATUS_S:
                 told_s = time.monotonic()
+                if not self._holds_directory:
+                    with suppress(OSError):  # it still cannot be written
+                        self._holds_directory = self.recording.store.lock() is not None
                 self._tell({"status": self._status()})
             self._stop.wait(_TURN_S)
         self._turn()
@@ -163,11 +169,18 @@ class RecorderProcess:
         try:
             if what == "start":
                 answer["id"] = self.recording.start(str(order["name"]), dict(order["facts"]))
+                self._missed_before = self._missed()
             elif what == "stop":
-                answer |= {"run": self.recording.stop(dict(order["facts"]))}
+                missed = self._missed() - self._missed_before
+                answer |= {"run": self.recording.stop({**dict(order["facts"]), "missed": missed})}
         except RoboNeuronError as error:
             answer |= {"error": error.message, "hint": error.hint}
         self._tell(answer)
+
+    def _missed(self) -> int:
+        """Messages that came too fast for this process, since it began."""
+        gaps: Mapping[str, int] = self.counts().get("gaps", {})
+        return self._backlog.dropped + sum(gaps.values())
 
     def _note(self, order: Mapping[str, Any]) -> None:
         self._events += 1
@@ -244,10 +257,17 @@ def main() -> None:
     process.counts = lambda: {"received": dict(tap.received), "gaps": dict(tap.gaps)}
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    leaving = threading.Event()
 
     def spin() -> None:
-        with suppress(ExternalShutdownException):
-            executor.spin()
+        try:
+            while not leaving.is_set():  # the tap's timer wakes it ten times a second
+                executor.spin_once()
+        except ExternalShutdownException:
+            pass
+        except Exception:
+            log.exception("Nothing is heard any more; the server starts another recorder.")
+            signals.leave()
 
     spinning = threading.Thread(target=spin, name="ros", daemon=True)
     spinning.start()
@@ -256,8 +276,9 @@ def main() -> None:
     finally:
         # The files are closed. rclpy has been seen to spin in destroy_node for ever; SIGALRM ends the process then.
         signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
-        executor.shutdown(timeout_sec=1.0)
-        spinning.join(2.0)
+        leaving.set()
+        spinning.join()  # Executor.shutdown (rclpy 7.1) does not wait for a callback, and the tap's makes subscriptions
+        executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from rn_runs.files import FLUSH_S, Record, RunFile
@@ -64,7 +65,11 @@ class Sink:
             log.error("The %s cannot be written: %s; tried again every %g s.", self.name, reason, RETRY_S)
         self.problem, self._retry_s = reason, now_s + RETRY_S
         if self.file is not None:
+            self.lost += self.file.unwritten
             self.file.abandon()
+            if self.file.messages == self.file.unwritten:  # none of them can be read
+                with suppress(OSError):
+                    self.file.path.unlink()
             self.file = None
 
     def finish(self) -> Path | None:
@@ -75,5 +80,6 @@ class Sink:
         try:
             file.finish()
         except OSError as error:
+            self.file = file
             self.fail(error, time.monotonic())
         return file.path

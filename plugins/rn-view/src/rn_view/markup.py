@@ -14,6 +14,8 @@ from roboneuron.supervisor.health import EXPLANATIONS, FAULTS
 
 _GOOD, _IDLE, _BAD, _STARTING = "#2b8a3e", "#868e96", "#c92a2a", "#e67700"
 _SMALL = "font-size:12px;line-height:1.35"
+STYLE = '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
+"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is as wide as the page."""
 _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""
 

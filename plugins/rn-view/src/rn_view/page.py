@@ -75,6 +75,7 @@ class Page:
         self._is_gone = False
         self._presence = ExitStack()
         self._stop_text: Any = None
+        client.gui.add_html(markup.STYLE)
         if source.playback is None:
             button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
             button.on_click(lambda _: self._press_stop())
@@ -195,7 +196,7 @@ class _Content:
             self._images = {
                 camera.name: gui.add_image(
                     np.full((_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3), 40, dtype=np.uint8),
-                    label=f"{camera.name} ({camera.role})",
+                    label=camera.name if camera.name == camera.role else f"{camera.name} ({camera.role})",
                     format="jpeg",
                     jpeg_quality=_JPEG_QUALITY,
                 )

@@ -25,6 +25,10 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (40, 130, 200), (150, 140, 125
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
+_PHONE_PX = 576
+"""viser puts the panel over the lower part of a page up to this wide."""
+_BELOW_M = 1.0
+"""There one looks at a place so far below the workspace, which then is above the panel."""
 
 
 class RobotModel:
@@ -151,8 +155,9 @@ class Scene:
     def _look_from(self, client: viser.ClientHandle, limits: MotionRules) -> None:
         box = np.stack([limits.lower_m, limits.upper_m])
         centre = box.mean(axis=0) * np.array([0.8, 1.0, 0.9]) if np.isfinite(box).all() else np.array([0.3, 0.0, 0.3])
-        client.camera.position = centre + np.array([0.95, -1.15, 0.65])
-        client.camera.look_at = centre
+        is_phone = client.camera.image_width <= _PHONE_PX
+        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (1.0 if is_phone else 0.85)
+        client.camera.look_at = centre - np.array([0.0, 0.0, _BELOW_M * is_phone])
 
 
 def _edges(lower: F64, upper: F64) -> F64:

@@ -1,0 +1,131 @@
+"""The recorder's process without ROS: what the server tells it and what the audit holds comes into the files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from rn_runs.files import Record, read_attachments
+from rn_runs.images import IMAGE, pixels_of
+from rn_runs.node import AUDIT, RecorderProcess
+from rn_runs.reading import count_topics, iterate
+from rn_runs.settings import RecorderSettings, RulesSettings
+from rn_runs.store import Run
+from roboneuron import Frame
+from roboneuron.ros.messages import to_image
+
+BEGIN_NS = 1_700_000_000_000_000_000
+RULES = RulesSettings(ring_s=30, after_s=0, part_bytes=60_000, part_s=600, quota_bytes=10**9, min_free_bytes=0)
+
+
+def picture(number: int) -> np.ndarray:
+    ramp = np.linspace(0, 200, 64)
+    return np.stack([np.tile(ramp, (48, 1)) + number] * 3, axis=-1).astype(np.uint8)
+
+
+def image_record(number: int) -> Record:
+    at_ns = BEGIN_NS + number * 10**8
+    frame = Frame(camera="front", image=picture(number), stamp_ns=at_ns, frame_id="front")
+    return Record("/toy/camera/front/image", IMAGE, at_ns, at_ns, number, bytes(serialize_message(to_image(frame))))
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Callable[..., RecorderProcess]:
+    """Return a function that makes a recorder whose turns the test makes."""
+
+    def make(images: Any) -> RecorderProcess:
+        settings = RecorderSettings(
+            namespace="toy", state_directory=tmp_path, directory=tmp_path / "runs", topics=("*",), exclude=(),
+            images=images, jpeg_quality=90, rules=RULES, about={"robot": "toy"},
+        )  # fmt: skip
+        process = RecorderProcess(settings)
+        process.recording.store.make()
+        process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})
+        process._turn()
+        return process
+
+    return make
+
+
+def finished(process: RecorderProcess) -> list[Run]:
+    process._turn()
+    process.recording.close()
+    return process.recording.store.runs()
+
+
+def test_calls_changes_and_verdicts_are_in_the_file(record: Callable[..., RecorderProcess], tmp_path: Path) -> None:
+    process = record("lossless")
+    told = [
+        ("call", {"tool": "switch_inference", "arguments": {"backend": "other"}, "error": ""}),
+        ("change", {"module": "inference", "names": {"backend": "other"}}),
+        ("call", {"tool": "set_instruction", "arguments": {"instruction": "wave"}, "error": "refused"}),
+    ]
+    for number, (what, facts) in enumerate(told):
+        process._orders.append(
+            {"do": "event", "what": what, "at_ns": BEGIN_NS + number, "facts": facts, "incident": ""}
+        )
+    lines = [{"verdict": "refused", "tool": "publish_cmd_vel", "rule": "bounds"}, {"verdict": "latched", "who": "ann"}]
+    (tmp_path / AUDIT).write_text("".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines))
+    runs = {run.kind: run for run in finished(process)}
+    events = [json.loads(found.message.data) for found in iterate(runs["recording"].files, lambda t: "events" in t)]
+    assert [(event["what"], event.get("tool", "")) for event in events] == [
+        ("call", "switch_inference"), ("change", ""), ("call", "set_instruction"),
+    ]  # fmt: skip
+    audit = [json.loads(found.message.data) for found in iterate(runs["recording"].files, lambda t: "audit" in t)]
+    assert [line["verdict"] for line in audit] == ["refused", "latched"]
+    facts = json.loads(read_attachments(runs["incident"].files[0])["incident.json"])
+    assert facts[0]["what"] == "emergency_stop"
+    assert facts[0]["audit"]["who"] == "ann"
+
+
+@pytest.mark.parametrize(("images", "worst"), [("jpeg", 4.0), ("lossless", 0.0)])
+def test_images_are_kept_as_chosen(record: Callable[..., RecorderProcess], images: str, worst: float) -> None:
+    process = record(images)
+    for number in range(1, 31):
+        process.put(image_record(number))
+    run = next(run for run in finished(process) if run.kind == "recording")
+    ending = "/compressed" if images == "jpeg" else "/image"
+    for number, found in enumerate(iterate(run.files, lambda topic: topic.endswith(ending)), 1):
+        shown = pixels_of(found.message, found.record.type)
+        assert np.abs(shown.astype(int) - picture(number)).mean() <= worst
+    assert number == 30
+    assert all(counts.lost == 0 for counts in count_topics(run.files).values())
+
+
+def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderProcess]) -> None:
+    process = record("lossless")
+    random = np.random.default_rng(0)
+    active = process.recording._active
+    assert active is not None
+    for number in range(1, 61):
+        data = random.bytes(5000)
+        process.put(Record("/toy/t", "std_msgs/msg/String", BEGIN_NS + number, BEGIN_NS + number, number, data))
+        process._turn()
+        if active.sink.file is not None:
+            active.sink.file.flush()  # which is due twice a second
+    run = next(run for run in finished(process) if run.kind == "recording")
+    assert len(run.files) > 2
+    assert count_topics(run.files)["/toy/t"].messages == 60
+    assert count_topics(run.files)["/toy/t"].lost == 0
+
+
+def test_what_was_missed_before_a_recording_is_not_counted_as_its_own(
+    record: Callable[..., RecorderProcess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = record("lossless")
+    told: list[dict[str, Any]] = []
+    monkeypatch.setattr(process, "_tell", told.append)
+    for missed in (7, 9):
+        process.counts = lambda missed=missed: {"gaps": {"/toy/t": missed}}  # type: ignore[misc]
+        process._orders.append({"do": "stop", "number": missed, "facts": {}})
+        process._turn()
+        process._orders.append({"do": "start", "number": 1, "name": f"run-{missed}", "facts": {}})
+        process._turn()
+    assert [answer["run"]["missed"] for answer in told if "run" in answer] == [7, 2]
+    process.recording.close()

@@ -1,0 +1,94 @@
+"""The page without a browser: what its program keeps of the elements, and the messages that it sends."""
+
+from __future__ import annotations
+
+import re
+import threading
+from html import unescape
+from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from roboneuron.supervisor.health import EXPLANATIONS
+
+PROTOCOL = f"viser-v{viser.__version__}"
+CAMERA: dict[str, Any] = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (1.0, 1.0, 1.0),
+    "fov": 1.3,
+    "near": 0.1,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+"""Where a browser says it looks from; before that viser shows it nothing."""
+_HEAD_BYTES = 16
+"""Of a message: its size and that of its compressed part, 8 bytes each. Source: viser 1.1, `_message_producer`."""
+
+
+class PageClient:
+    """A page that is open from the beginning until `close`; fields are read from any thread."""
+
+    def __init__(self, url: str) -> None:
+        self.pictures = 0
+        """Pictures of cameras that came after the blank ones."""
+        self._elements: dict[str, dict[str, Any]] = {}
+        self._socket = connect(url.replace("http", "ws", 1), origin=url, subprotocols=[PROTOCOL], max_size=None)
+        self._socket.send(msgspec.msgpack.encode(CAMERA))
+        self._reading = threading.Thread(target=self._read, daemon=True)
+        self._reading.start()
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+        self._reading.join(10.0)
+
+    @property
+    def text(self) -> str:
+        """What its HTML elements say, one a line."""
+        contents = [str(props.get("content", "")) for _, props in self._snapshot()]
+        return "\n".join(unescape(re.sub(r"<[^>]*>", " ", content)) for content in contents)
+
+    def health(self, kind: str) -> str:
+        """Health of a module, as the colour's tooltip explains it; empty while the page does not show it."""
+        shown = unescape("".join(str(props.get("content", "")) for _, props in self._snapshot()))
+        found = re.search(rf'title="([^"]*)">[^<]*</span> <b>{kind}</b>', shown)
+        return next((word for word, text in EXPLANATIONS.items() if found and text == found.group(1)), "")
+
+    def press(self, label: str) -> None:
+        """Press a button."""
+        uuid = next(uuid for uuid, props in self._snapshot() if props.get("label") == label)
+        message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": True}}
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def _snapshot(self) -> list[tuple[str, dict[str, Any]]]:
+        return list(self._elements.items())
+
+    def _read(self) -> None:
+        try:
+            for data in self._socket:
+                assert isinstance(data, bytes)
+                size = int.from_bytes(data[8:_HEAD_BYTES], "little")
+                packed = zstandard.ZstdDecompressor().decompress(data[_HEAD_BYTES : _HEAD_BYTES + size])
+                for message in msgspec.msgpack.decode(packed)["messages"]:
+                    self._keep(message)
+        except ConnectionClosed:
+            pass
+
+    def _keep(self, message: dict[str, Any]) -> None:
+        uuid = message.get("uuid")
+        if uuid is None:
+            return
+        if "props" in message:
+            self._elements[uuid] = {"type": message["type"], **message["props"]}
+        elif message["type"] == "GuiUpdateMessage":
+            props = self._elements.setdefault(uuid, {"type": ""})
+            props.update(message["updates"])
+            self.pictures += props["type"] == "GuiImageMessage"
