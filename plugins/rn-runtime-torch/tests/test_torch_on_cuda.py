@@ -103,6 +103,24 @@ def test_cuda_answers_as_the_cpu_does(model, dtype):
     np.testing.assert_allclose(got, expected, atol=TOLERANCES[dtype] * max(1.0, float(np.abs(expected).max())))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+@pytest.mark.parametrize("model", ["oft"], indirect=True)
+def test_a_batch_answers_as_each_alone_does(model, dtype, share):
+    engine = _engine(model, dtype=dtype, preset=FastV(FastVConfig(k=1, r=share)) if share else None)
+    requests = [_request(model, length, seed=length) for length in (12, 30, 14, 13)]
+    replies = engine.answer_batch(requests, lambda: None)
+    kept = round(model.visual_tokens * (1.0 - share))
+    assert [reply.metrics["tokens_kept"] for reply in replies] == [kept] * 4
+    if dtype == "bfloat16" and share:
+        return  # near ties may keep other tokens
+    for request, reply in zip(requests, replies, strict=True):
+        expected = _values(engine, request)
+        np.testing.assert_allclose(
+            reply.values, expected, atol=TOLERANCES[dtype] * max(1.0, float(np.abs(expected).max()))
+        )
+
+
 def test_outputs_of_one_request_outlive_the_next(model):
     """A replay overwrites the recording's outputs; replies are copies."""
     engine = _engine(model)

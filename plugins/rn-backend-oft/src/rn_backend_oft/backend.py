@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
-from rn_vla.decoding import LlamaAcceleration, RowsReply, RowsRuntime
+from rn_vla.decoding import BatchRuntime, LlamaAcceleration, Reply, RowsReply, RowsRequest, RowsRuntime
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
 from rn_vla.openvla.checkpoint import Checkpoint
 from rn_vla.openvla.policy import action_bins, prompt_encoder
@@ -124,9 +125,40 @@ class OftBackend:
                 are no action tokens (`head = "tokens"`).
             UnsafeError: the model produced non-finite values.
         """
+        runtime, started = self._loaded_runtime(), time.perf_counter()
+        request = self._request(observation)
+        prepared = time.perf_counter()
+        return self._chunk(observation, runtime.run(request), started, prepared)
+
+    def predict_batch(self, observations: Sequence[Observation]) -> list[ActionChunk]:
+        """A chunk for each observation, in their order, from one pass where the runtime can do that.
+
+        With the runtime `torch` in float32, each is within 1e-5 of what `predict` gives; times are those of all.
+        A runtime without `run_batch` is asked one after the other.
+
+        Raises:
+            RoboNeuronError: as `predict`, for all of them.
+        """
+        if not observations:
+            return []
+        runtime, started = self._loaded_runtime(), time.perf_counter()
+        requests = [self._request(observation) for observation in observations]
+        prepared = time.perf_counter()
+        if isinstance(runtime, BatchRuntime):
+            replies = runtime.run_batch(requests)
+        else:
+            replies = [runtime.run(request) for request in requests]
+        return [
+            self._chunk(observation, reply, started, prepared)
+            for observation, reply in zip(observations, replies, strict=True)
+        ]
+
+    def _loaded_runtime(self) -> RowsRuntime:
         if not self._loaded or self._runtime is None:
             raise StateError("Backend 'oft' is not loaded; call load first.")
-        started = time.perf_counter()
+        return self._runtime
+
+    def _request(self, observation: Observation) -> RowsRequest:
         images = []
         for role in self.cameras:
             frame = observation.frames.get(role)
@@ -136,7 +168,7 @@ class OftBackend:
                 )
             images.append(self._preprocessor.to_model_image(frame.image))
         text = self._encoder.to_text(observation.instruction)
-        request = self._policy.request(
+        return self._policy.request(
             text=text,
             ids=self._encoder.to_ids(text),
             images=tuple(images),
@@ -144,8 +176,8 @@ class OftBackend:
             proprio=self._normalized_state(observation),
             timeout_s=self._config.timeout_s,
         )
-        prepared = time.perf_counter()
-        reply = self._runtime.run(request)
+
+    def _chunk(self, observation: Observation, reply: Reply, started: float, prepared: float) -> ActionChunk:
         if not isinstance(reply, RowsReply):
             raise PluginError(f"The runtime answered {type(reply).__name__}, expected RowsReply.")
         normalized, outside, note = self._to_normalized(reply.values)

@@ -22,7 +22,7 @@ class OftFront(OpenVlaFront):
         self.proprio_projector = Projector((proprio_width, shape.hidden, shape.hidden)) if proprio_width else None
 
     def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
-        """Arrays {"pixel_values", "proprio"?} and ids (1, n) with placeholders -> (1, patches + 0 or 1 + n, hidden)."""
+        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches + 0 or 1 + n, hidden)."""
         words = embed(ids)
         end = words.shape[1] - 1
         start = end - self.placeholders
@@ -44,7 +44,7 @@ class _ResidualBlock(nn.Module):
 
 
 class L1Head(nn.Module):
-    """Rows (1, chunk * width, hidden) -> normalised actions (1, chunk, width)."""
+    """Rows (b, chunk * width, hidden) -> normalised actions (b, chunk, width)."""
 
     def __init__(self, *, hidden: int, chunk: int, action_width: int) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class L1Head(nn.Module):
 
     def forward(self, rows: Tensor) -> Tensor:
         """See the class."""
-        x = functional.relu(self.fc1(self.layer_norm1(rows.reshape(1, self.chunk, -1))))
+        x = functional.relu(self.fc1(self.layer_norm1(rows.reshape(rows.shape[0], self.chunk, -1))))
         for block in self.mlp_resnet_blocks:
             x = block(x)
         actions: Tensor = self.fc2(self.layer_norm2(x))

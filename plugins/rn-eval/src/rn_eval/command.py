@@ -134,14 +134,21 @@ def _run(arguments: Namespace) -> int:
 def _pool(plan: EvalPlan, arguments: Namespace) -> Callable[[], Pool]:
     from rn_eval.pools import InProcess, OnRay
 
+    if arguments.policy_actors and not plan.shared_policy:
+        raise ConfigurationError(
+            "That run was begun without --policy-actors; batches give other last bits.",
+            hint="Leave it out, or begin another run.",
+        )
+    policy_actors = arguments.policy_actors or int(plan.shared_policy)
+
     def make() -> Pool:
-        if arguments.workers == 1 and arguments.ray_address is None and not arguments.policy_actors:
+        if arguments.workers == 1 and arguments.ray_address is None and not policy_actors:
             return InProcess(plan)
         return OnRay(
             plan,
             workers=arguments.workers,
             address=arguments.ray_address,
-            policy_actors=arguments.policy_actors,
+            policy_actors=policy_actors,
             policy_gpus=arguments.policy_gpus,
         )
 
@@ -231,6 +238,7 @@ def _planned(arguments: Namespace) -> EvalPlan:
             latencies=tuple(dict.fromkeys(arguments.latency or ("0",))),
             episodes=arguments.episodes,
             first_seed=arguments.seed,
+            shared_policy=arguments.policy_actors > 0,
             threads=arguments.threads,
             strips=arguments.strips,
             versions=installed_versions(),

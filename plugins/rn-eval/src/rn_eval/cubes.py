@@ -166,7 +166,7 @@ class CubesScene:
         facts: dict[str, str | float] = {
             "target": self._target,
             "objects": float(len(cubes)),
-            "lifted_cm": round(cubes[self._target].lifted_m * 100, 2),
+            "lifted_cm": round(max(0.0, cubes[self._target].lifted_m) * 100, 2),
         }
         if highest.lifted_m >= 0.02:  # something was taken up: was it what was named?
             facts["right_object"] = float(highest.name == self._target)

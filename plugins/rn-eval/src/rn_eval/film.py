@@ -11,6 +11,8 @@ from PIL import Image, ImageDraw
 _MOST = 32
 _SHOWN = 6
 _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 16, 3
+_COLOURS = 256
+"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey as the table."""
 
 
 class Film:
@@ -46,5 +48,5 @@ class Film:
             draw.text((x + 2, _HEIGHT_PX + 2), f"{at_s:.1f} s {caption}"[: image.width // 6], fill="black")
             x += image.width + _MARGIN_PX
         buffer = io.BytesIO()
-        sheet.quantize(128).save(buffer, "PNG", optimize=True)
+        sheet.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE).save(buffer, "PNG", optimize=True)
         return buffer.getvalue()

@@ -81,6 +81,8 @@ class EvalPlan(BaseModel):
         config: the configuration whose limits, control and plugin options hold.
         executions, latencies, presets: every combination is a variant.
         episodes, first_seed: for `Suite.episodes`.
+        shared_policy: predictions come in batches of what is asked at the same time, so that an episode does not repeat
+            bit for bit.
         threads: threads of each worker's numerical libraries; results of some depend on it.
         versions: of the packages when the run began.
     """
@@ -99,6 +101,7 @@ class EvalPlan(BaseModel):
     latencies: tuple[str, ...] = ("0",)
     episodes: int = Field(ge=1)
     first_seed: int = Field(default=0, ge=0)
+    shared_policy: bool = False
     threads: int = Field(default=1, ge=1)
     strips: Literal["failures", "all", "none"] = "failures"
     versions: dict[str, str] = Field(default_factory=dict)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from rn_runtime_torch.cache import KeyValueCache
+from rn_runtime_torch.fillings import Fillings
 from rn_runtime_torch.int8 import Int8Weight
 from rn_runtime_torch.scratch import Scratch
 from rn_vla.decoding import DecoderShape
@@ -43,33 +44,35 @@ class DecoderLayer(nn.Module):
     def project(
         self, hidden: Tensor, cos: Tensor, sin: Tensor, scratch: Scratch, stepping: bool = False
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Hidden (1, n, hidden) -> query (1, heads, n, width), key and value (1, key-value heads, n, width).
+        """Hidden (b, n, hidden) -> query (b, heads, n, width), key and value (b, key-value heads, n, width).
 
-        `stepping` says that this is the one row of a decoded token. Query and key are contiguous: attention on the CPU
-        loses up to a quarter of its speed to other layouts.
+        `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row of a decoded token.
+        Query and key of one sequence are contiguous: attention on the CPU loses up to a quarter of its speed to other
+        layouts.
         """
-        count, width = hidden.shape[1], self.head_width
+        batch, count, width = *hidden.shape[:2], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)
-        packed = self._times(normed[0], "qkv", scratch, stepping).view(1, count, -1, width).transpose(1, 2)
+        flat = self._times(normed.flatten(0, 1), "qkv", scratch, stepping)
+        packed = flat.view(batch, count, -1, width).transpose(1, 2)
         turned, value = torch.split(packed, [self.heads + self.key_value_heads, self.key_value_heads], dim=1)
-        rotated = scratch.empty("rotated", hidden, 1, self.heads + self.key_value_heads, count, width)
+        rotated = scratch.empty("rotated", hidden, batch, self.heads + self.key_value_heads, count, width)
         rotate(turned, cos, sin, rotated)
         query, key = torch.split(rotated, [self.heads, self.key_value_heads], dim=1)
         return query, key, value
 
-    def attend(self, query: Tensor, key: Tensor, value: Tensor, causal: bool) -> Tensor:
-        """Scaled dot-product attention -> (1, heads, n, width)."""
+    def attend(self, query: Tensor, key: Tensor, value: Tensor, causal: bool, seen: Tensor | None = None) -> Tensor:
+        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are `seen` (b, 1, 1, n)."""
         return functional.scaled_dot_product_attention(
-            query, key, value, is_causal=causal, enable_gqa=self.heads != self.key_value_heads
+            query, key, value, attn_mask=seen, is_causal=causal, enable_gqa=self.heads != self.key_value_heads
         )
 
     def merge(self, hidden: Tensor, attended: Tensor, scratch: Scratch, stepping: bool = False) -> Tensor:
-        """Add attention and the gated layer to the residual stream (1, n, hidden), in place."""
-        flat = attended.transpose(1, 2).reshape(hidden.shape[1], -1)
-        self._add(hidden[0], flat, "out", stepping)
+        """Add attention and the gated layer to the residual stream (b, n, hidden), contiguous, in place."""
+        stream = hidden.view(-1, hidden.shape[-1])
+        self._add(stream, attended.transpose(1, 2).reshape(stream.shape[0], -1), "out", stepping)
         normed = functional.rms_norm(hidden, self.norm_post.shape, self.norm_post, self.epsilon)
-        gate, up = self._times(normed[0], "gate_up", scratch, stepping).chunk(2, dim=-1)
-        self._add(hidden[0], functional.silu(gate, inplace=True).mul_(up), "down", stepping)
+        gate, up = self._times(normed.flatten(0, 1), "gate_up", scratch, stepping).chunk(2, dim=-1)
+        self._add(stream, functional.silu(gate, inplace=True).mul_(up), "down", stepping)
         return hidden
 
     def _times(self, rows: Tensor, name: str, scratch: Scratch, stepping: bool) -> Tensor:
@@ -88,12 +91,12 @@ class DecoderLayer(nn.Module):
 
 
 def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
-    """Rotary positions of (1, heads, n, width), halves paired, into `out`: one read of each half, no temporaries.
+    """Rotary positions of (b, heads, n, width), halves paired, into `out`: one read of each half, no temporaries.
 
     Source: Su et al. 2021, in the layout of the Hugging Face Llama.
     """
     half = heads.shape[-1] // 2
-    cos, sin = cos[:, :half], sin[:, :half]
+    cos, sin = cos[..., :half], sin[..., :half]
     first, second = torch.split(heads, half, dim=-1)
     out_first, out_second = torch.split(out, half, dim=-1)
     if torch.compiler.is_compiling():  # fuses by itself, and knows no `out` that is a part of a tensor
@@ -104,7 +107,7 @@ def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
 
 
 class Decoder(nn.Module):
-    """The whole language model; batch 1.
+    """The whole language model.
 
     Attributes:
         visual_kept: after a pass, the number of visual positions that reached the last layer.
@@ -192,28 +195,33 @@ class Decoder(nn.Module):
         cache: KeyValueCache | None = None,
         rows: tuple[int, int] | None = None,
         last: int | None = None,
+        fillings: Fillings | None = None,
     ) -> Tensor:
-        """Run all layers and the final norm on a whole sequence.
+        """Run all layers and the final norm on a whole sequence, or on several that see every position.
 
         Args:
-            hidden: embeddings (1, n, hidden); visual tokens stand at positions 1 .. visual_tokens.
+            hidden: embeddings (b, n, hidden); visual tokens stand at positions 1 .. visual_tokens.
             causal: False lets every position see every other.
             cache: keys and values are kept there from its start when given.
             rows: positions read afterwards, for a selection that looks at them.
             last: how many positions at the end are read afterwards; the last layer computes no others. None for all.
+            fillings: which positions of several sequences stand for nothing; None for a single sequence.
 
         Returns:
-            (1, last, hidden), or (1, n', hidden): n' is less than n by the visual tokens that the selection dropped.
+            (b, last, hidden), or (b, n', hidden): n' is less than n by the visual tokens that the selection dropped.
         """
         count, scratch = hidden.shape[1], self.scratch
-        cos, sin = self.cos[:count], self.sin[:count]
+        cos, sin, seen = self.cos[:count], self.sin[:count], None
+        if fillings is not None:
+            cos, sin, seen = fillings.tables(self.cos, self.sin, count)
         hidden = scratch.empty("hidden", hidden, *hidden.shape).copy_(hidden)  # layers add to it in place
         view: AttentionView | None = None
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
             if self.selection is not None and index == self.selection.layer and view is not None:
-                keep = self.selection.select(view)
-                if keep is not None:
+                if fillings is not None:
+                    hidden, cos, sin, seen = fillings.prune(self.selection, view, (hidden, cos, sin, seen))
+                elif (keep := self.selection.select(view)) is not None:
                     hidden, cos, sin = hidden[:, keep], cos[keep], sin[keep]
             query, key, value = layer.project(hidden, cos, sin, scratch)
             if cache is not None:
@@ -226,20 +234,22 @@ class Decoder(nn.Module):
                 )
             if last is not None and index + 1 == len(self.layers):
                 self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
-                attended = self._attend_last(layer, query, key, value, causal, last)
+                attended = self._attend_last(layer, query, key, value, causal, last, seen)
                 hidden = layer.merge(hidden[:, -last:].clone(), attended, scratch)
             else:
-                hidden = layer.merge(hidden, layer.attend(query, key, value, causal), scratch)
+                hidden = layer.merge(hidden, layer.attend(query, key, value, causal, seen), scratch)
         if last is None:
             self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
     @staticmethod
-    def _attend_last(layer: DecoderLayer, query: Tensor, key: Tensor, value: Tensor, causal: bool, last: int) -> Tensor:
+    def _attend_last(
+        layer: DecoderLayer, query: Tensor, key: Tensor, value: Tensor, causal: bool, last: int, seen: Tensor | None
+    ) -> Tensor:
         """Attention of the last positions; the very last one sees everything, causal or not."""
         if causal and last > 1:
             return layer.attend(query, key, value, causal)[:, :, -last:]
-        return layer.attend(query[:, :, -last:], key, value, causal=False)
+        return layer.attend(query[:, :, -last:], key, value, False, seen)
 
     def step(self, hidden: Tensor, position: int, cache: KeyValueCache) -> Tensor:
         """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache by one.
@@ -255,9 +265,9 @@ class Decoder(nn.Module):
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
     def logits(self, hidden: Tensor) -> Tensor:
-        """Hidden (1, n, hidden) after the final norm -> float32 (1, n, vocabulary)."""
+        """Hidden (b, n, hidden) after the final norm -> float32 (b, n, vocabulary)."""
         # Rows as a plain matrix: a slice of three dimensions makes torch copy the whole weight for a batched product.
-        return torch.mm(hidden[0], self.head.t())[None].float()
+        return torch.mm(hidden.flatten(0, 1), self.head.t()).view(*hidden.shape[:2], -1).float()
 
     def slots(self) -> Mapping[str, Tensor]:
         """Where each tensor of the Hugging Face Llama layout goes: views on the fused parameters, by its name."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol, cast
 
 import numpy as np
@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.decoder import MATRICES, Decoder
-from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype, memory_errors
+from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype, free_bytes, memory_errors
+from rn_runtime_torch.fillings import Fillings, fill_up
 from rn_runtime_torch.graph import Computation, GraphCache
 from rn_runtime_torch.int8 import check_int8
 from rn_runtime_torch.memory import PeakBytes
@@ -32,6 +33,8 @@ from rn_vla.decoding import (
 from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Kind = tuple[str | int, ...]
+_BATCH_SHARE = 0.5
+"""Of the memory that is free after loading: a pass takes no more requests than fit there."""
 _TRIAL_TOKENS = 8
 """Prompt of the sequence that a new selection is tried with: words stand before and behind the image."""
 Check = Callable[[], None]
@@ -42,7 +45,7 @@ class Front(Protocol):
     """What `PolicyModel.build_front` returns, besides being a torch module."""
 
     def __call__(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
-        """Arrays (1, ...), ids (1, n) and the embedding look-up -> decoder input (1, positions, hidden)."""
+        """Arrays (b, ...), ids (b, n) and the embedding look-up -> decoder input (b, positions, hidden)."""
         ...
 
 
@@ -74,6 +77,7 @@ class Engine:
             for length in self._warm_lengths(config):
                 self.answer(model.example(length), lambda: None)
             self._recording = False
+        self._most = max(1, int(_BATCH_SHARE * free_bytes(self._device) / max(1, self._activations)))
 
     def _build(self, config: TorchRuntimeConfig) -> None:
         model, device, dtype = self._model, self._device, self._dtype
@@ -97,7 +101,9 @@ class Engine:
         for part in parts.values():
             part.to(dtype).eval()
         self._place_state(length, torch.device("meta"))
-        check_fits(self._needs(config, list(parts.values()), quantized), device, dtype)
+        needs = self._needs(config, list(parts.values()), quantized)
+        check_fits(needs, device, dtype)
+        self._activations = needs.activations
         for part in parts.values():
             part.to_empty(device=device)
         slots = {f"decoder.{name}": slot for name, slot in decoder.slots().items()}
@@ -193,13 +199,7 @@ class Engine:
             InvalidInputError: the prompt or the number of tokens is more than the model was loaded for.
             UnsafeError: the model produced NaN or infinity.
         """
-        count = request.prompt.ids.size
-        if count > self._model.max_prompt_tokens:
-            raise InvalidInputError(
-                f"The prompt has {count} tokens, at most {self._model.max_prompt_tokens} fit.",
-                hint="Shorten the instruction.",
-            )
-        _check_ids(request.prompt.ids, self._model.decoder.vocabulary)
+        self._check_prompt(request.prompt.ids)
         with memory_errors(self._device), torch.inference_mode():
             inputs = {
                 name: torch.from_numpy(array)[None].to(self._device, self._dtype)
@@ -215,7 +215,44 @@ class Engine:
             if isinstance(request, TokenRequest):
                 logits = outputs["logits"].cpu().numpy() if request.with_logits else None
                 return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics)
-            return RowsReply(values=outputs["values"].cpu().numpy(), metrics=metrics)
+            return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics)
+
+    def answer_batch(self, requests: Sequence[RowsRequest], check: Check) -> list[RowsReply]:
+        """Answer requests that read alike in one pass, or in as few as memory allows; `check` is called between them.
+
+        On CUDA such passes run unrecorded. Raises as `answer`, for all when it is so for one.
+        """
+        for request in requests:
+            self._check_prompt(request.prompt.ids)
+        replies: list[RowsReply] = []
+        with memory_errors(self._device), torch.inference_mode():
+            for first in range(0, len(requests), self._most):
+                check()
+                replies += self._answer_together(requests[first : first + self._most])
+        return replies
+
+    def _answer_together(self, requests: Sequence[RowsRequest]) -> list[RowsReply]:
+        prompts = [request.prompt for request in requests]
+        inputs = {
+            name: torch.from_numpy(np.stack([prompt.arrays[name] for prompt in prompts])).to(self._device, self._dtype)
+            for name in prompts[0].arrays
+        }
+        ids, counts = fill_up([prompt.ids for prompt in prompts])
+        inputs["ids"] = torch.from_numpy(ids).to(self._device)
+        start = 1 + self._model.visual_tokens + self._model.extra_tokens
+        outputs = self._read_rows(requests[0], Fillings(start, counts))[1](inputs)
+        if not bool(outputs["finite"]):
+            raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
+        metrics = {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))}
+        return [RowsReply(values=values, metrics=metrics) for values in outputs["values"].cpu().numpy()]
+
+    def _check_prompt(self, ids: NDArray[np.int64]) -> None:
+        if ids.size > self._model.max_prompt_tokens:
+            raise InvalidInputError(
+                f"The prompt has {ids.size} tokens, at most {self._model.max_prompt_tokens} fit.",
+                hint="Shorten the instruction.",
+            )
+        _check_ids(ids, self._model.decoder.vocabulary)
 
     def _computation(self, request: Request, check: Check) -> tuple[Kind, Computation]:
         """What answers a request, and what of the request decides its shapes besides the inputs."""
@@ -247,14 +284,14 @@ class Engine:
 
         return ("tokens", request.max_new_tokens), compute
 
-    def _read_rows(self, request: RowsRequest) -> tuple[Kind, Computation]:
+    def _read_rows(self, request: RowsRequest, fillings: Fillings | None = None) -> tuple[Kind, Computation]:
         decoder, back = self._decoder, self._back
 
         def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
             hidden = self._embed(held)
             end = hidden.shape[1] - request.tail
             last = request.rows + request.tail
-            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end), last=last)
+            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end), last=last, fillings=fillings)
             values = hidden[:, : request.rows]
             finite = torch.isfinite(values).all()
             if request.read == "output" and back is not None:
@@ -264,7 +301,7 @@ class Engine:
                 logits = decoder.logits(values)
                 finite = finite & torch.isfinite(logits).all()
                 values = logits.argmax(dim=-1)
-            return {"values": values[0].float(), "finite": finite}
+            return {"values": values.float(), "finite": finite}
 
         return ("rows", request.rows, request.tail, request.read), compute
 

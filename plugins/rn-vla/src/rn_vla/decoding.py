@@ -9,10 +9,10 @@ images. Both give the same reply.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,11 +188,12 @@ class PolicyModel:
         visual_tokens: how many positions after the first one hold image patches.
         max_prompt_tokens: longest `Prompt.ids`.
         max_new_tokens: most tokens any request decodes; 0 for families that decode none.
-        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds.
+        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds, right behind the latter.
         example: a request with so many prompt ids, to warm up with.
         build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives the decoder's
-            input (1, positions, hidden); `embed` looks ids up. Its parameters are the targets "front.*".
-        build_back: likewise for what follows the read rows (1, rows, hidden); None for nothing.
+            input (b, positions, hidden); `embed` looks ids up. Its parameters are the targets "front.*". Among several
+            prompts, the ids of shorter ones are filled up behind the first one.
+        build_back: likewise for what follows the read rows (b, rows, hidden); None for nothing.
     """
 
     family: str
@@ -214,6 +215,17 @@ TokenRuntime: TypeAlias = Runtime[PolicyModel, TokenRequest, Reply, PrunableDeco
 """One that answers at least `TokenRequest`: what a backend of the family "openvla" is built with."""
 RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecoder]
 """One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built with."""
+
+
+@runtime_checkable
+class BatchRuntime(Protocol):
+    """What a runtime may offer beside `run`."""
+
+    def run_batch(self, requests: Sequence[RowsRequest]) -> Sequence[Reply]:
+        """One reply for each request, in their order, from one pass; raises what `run` raises, for all of them."""
+        ...
+
+
 LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
 """An acceleration of Llama-shaped decoders."""
 LlamaAccelerationChanger: TypeAlias = AccelerationChanger[PrunableDecoder]

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 class AttentionView:
     """What a selection may look at: queries and keys of the layer just run, rotary positions applied.
 
+    Of several sequences in one pass, each is shown alone.
+
     Attributes:
         query: (1, heads, positions, head width).
         key: (1, key-value heads, positions, head width).

@@ -39,15 +39,15 @@ class OpenVlaFront(nn.Module):
         self.projector = Projector(shape.projector)
 
     def patches(self, pixels: Tensor) -> Tensor:
-        """Pixels (1, cameras * 3 * towers, side, side) -> embedded patches (1, cameras * patches, hidden)."""
+        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras * patches, hidden)."""
         side = pixels.shape[-1]
         images = pixels.view(-1, 3 * len(self.towers), side, side)
         parts = torch.split(images, 3, dim=1)
         features = [self.get_submodule(name)(part) for name, part in zip(self.towers, parts, strict=True)]
         embedded: Tensor = self.projector(torch.cat(features, dim=-1))
-        return embedded.flatten(0, 1)[None]
+        return embedded.view(pixels.shape[0], -1, embedded.shape[-1])
 
     def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
-        """Arrays {"pixel_values"} and ids (1, n) -> (1, patches + n, hidden)."""
+        """Arrays {"pixel_values"} and ids (b, n) -> (b, patches + n, hidden)."""
         words = embed(ids)
         return torch.cat((words[:, :1], self.patches(arrays["pixel_values"]), words[:, 1:]), dim=1)
