@@ -169,22 +169,8 @@ format: $(VENV)/.develop ## put the code into shape
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.develop ## every benchmark of the closed loop; prints the tables of docs/benchmarks.md
-	$(BIN)/python benchmarks/bench_plugins_list.py
-	$(BIN)/python benchmarks/bench_ik.py
-	$(BIN)/python benchmarks/bench_loop.py
-	$(BIN)/python benchmarks/bench_execution.py --virtual
-	$(BIN)/python benchmarks/bench_execution.py
-	$(BIN)/python benchmarks/bench_start_stop.py
-	$(BIN)/python benchmarks/bench_round_trip.py
-	$(BIN)/python benchmarks/bench_switch.py
-	$(BIN)/python benchmarks/bench_faults.py
-	$(BIN)/python benchmarks/bench_direct.py
-	$(BIN)/python benchmarks/bench_servo.py
-	$(BIN)/python benchmarks/bench_servo.py --added-latency-ms 300
-	$(BIN)/python benchmarks/bench_eval.py
-	$(BIN)/python benchmarks/bench_interfaces.py
-	$(BIN)/python benchmarks/bench_view.py
+bench: $(VENV)/.develop ## every benchmark of the closed loop (ARGS=--quick: only whether they work); what was missed comes last
+	$(BIN)/python benchmarks/run_all.py $(ARGS)
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
 	$(BIN)/python benchmarks/soak.py $(ARGS)

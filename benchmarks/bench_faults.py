@@ -8,6 +8,9 @@ listeners; "hold" is when control commanded, or the driver reported, a hold. Onl
 again. The gantry reaches each command at once, so that its last motion is the last command's; an arm with inertia adds
 its braking. With --rows the backend answers with chunks, which are executed as `auto` decides.
 The floor is how long it takes this process to learn that a bare child was killed.
+
+A trial in which something did not come within its wait is told as missed and has no times; the cell is brought up again
+and the next trial goes on. Exit status 1 when no trial of a fault succeeded.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell
 from plugin_site import chunks
 
+from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.module_kinds import StartInference
@@ -56,6 +61,11 @@ BOUNDS_S = {
     ("emergency stop, by the topic alone", MOTION): 0.1,
 }
 """What the configuration and the issue promise; printed beside what was measured."""
+KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "control", "inference")
+
+
+class NotSeen(RuntimeError):
+    """What a trial waits for did not come."""
 
 
 class Bench:
@@ -97,7 +107,7 @@ class Bench:
     def _first(self, find: Callable[[], float | None], timeout_s: float, what: str) -> float:
         with self._changed:
             if not self._changed.wait_for(lambda: find() is not None, timeout_s):
-                raise RuntimeError(f"not within {timeout_s:g} s: {what}")
+                raise NotSeen(f"not within {timeout_s:g} s: {what}")
             found = find()
         assert found is not None
         return found
@@ -122,7 +132,7 @@ class Bench:
             return report is not None and report.received_s > since_s + 0.4 and report.note == "holding: no command"
 
         if not self.loop.supervisor.changes.wait_for(holding, 3.0):
-            raise RuntimeError("not within 3 s: the driver holds")
+            raise NotSeen("not within 3 s: the driver holds")
         return time.monotonic()
 
     def ready(self) -> None:
@@ -134,14 +144,14 @@ class Bench:
                 return
             time.sleep(0.01)
         said = {view.kind: view.report for view in self.loop.supervisor.views()}
-        raise RuntimeError(f"the arm does not move; the modules say: {said}")
+        raise NotSeen(f"the arm does not move; the modules say: {said}")
 
     def stood_s(self, since_s: float) -> float:
         """Last motion after `since_s`, once the arm has stood for 0.4 s."""
         deadline_s = time.monotonic() + 5.0
         while not self.witness.stands():
             if time.monotonic() > deadline_s:
-                raise RuntimeError("the arm does not stand")
+                raise NotSeen("the arm does not stand")
             time.sleep(0.01)
         last = self.witness.moved_s()
         assert last is not None
@@ -162,12 +172,21 @@ class Bench:
         self.note(fault, NOTICE, self.noticed_s(kind, "exited", at_s) - at_s)
         self.note(fault, HOLD, (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s)
         self.note(fault, MOTION, self.stood_s(at_s))
-        if kind == "inference":
-            self.loop.start("inference", StartInference(instruction="swing"))
-        elif kind == "perception":
-            self.loop.start("perception")
-        else:
-            self.loop.start("control")
+        self._start(kind)
+
+    def _start(self, kind: ModuleKind) -> None:
+        self.loop.start(kind, StartInference(instruction="swing") if kind == "inference" else None)
+
+    def attempt(self, what: str, trial: Callable[[], None]) -> None:
+        """Run a trial; what it did not see is told, and the cell brought up again."""
+        try:
+            trial()
+        except (NotSeen, RoboNeuronError) as error:
+            print(f"missed: {what}: {error}", flush=True)
+            self._release()
+            for kind in KINDS:
+                if self.loop.supervisor.view(kind).phase != "running":
+                    self._start(kind)
 
     def freeze(self) -> None:
         """Inference is stopped, and goes on."""
@@ -183,7 +202,7 @@ class Bench:
         finally:
             os.kill(process.pid, signal.SIGCONT)
 
-    def press(self, way: str, press: Callable[[], object], release: Callable[[], object]) -> None:
+    def press(self, way: str, press: Callable[[], object]) -> None:
         """One emergency stop, and its reset."""
         fault = f"emergency stop, {way}"
         self.ready()
@@ -192,21 +211,26 @@ class Bench:
         self.note(fault, "call", time.monotonic() - at_s)
         self.note(fault, HOLD, self.held_s(at_s) - at_s)
         self.note(fault, MOTION, self.stood_s(at_s))
-        release()
+        self._release()
 
     def stops(self) -> None:
         """One stop by each way."""
         from std_msgs.msg import Bool
 
         stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
+        ways: dict[str, Callable[[], object]] = {
+            "by file and topic": lambda: stop.latch(namespace, who="bench", reason="trial"),
+            "by the file alone": lambda: stop.file.latch(who="bench", reason="trial"),
+            "by the topic alone": lambda: self._publish(Bool(data=True)),
+        }
+        for way, press in ways.items():
+            self.attempt(f"emergency stop, {way}", partial(self.press, way, press))
 
-        def release() -> None:
-            self._publish(Bool(data=False))
-            stop.reset(namespace, who="bench", role="admin")
+    def _release(self) -> None:
+        from std_msgs.msg import Bool
 
-        self.press("by file and topic", lambda: stop.latch(namespace, who="bench", reason="trial"), release)
-        self.press("by the file alone", lambda: stop.file.latch(who="bench", reason="trial"), release)
-        self.press("by the topic alone", lambda: self._publish(Bool(data=True)), release)
+        self._publish(Bool(data=False))
+        self.loop.emergency_stop.reset(self.loop.config.namespace, who="bench", role="admin")
 
 
 def floor_s(trials: int) -> list[float]:
@@ -222,8 +246,8 @@ def floor_s(trials: int) -> list[float]:
     return times
 
 
-def main() -> None:
-    """Run every trial and print one table."""
+def main() -> int:
+    """Run every trial and print one table; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=100, help="of each fault")
     parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
@@ -238,8 +262,8 @@ def main() -> None:
             try:
                 for trial in range(arguments.trials):
                     for kind in ("inference", "perception", "control"):
-                        bench.kill(kind)  # type: ignore[arg-type]
-                    bench.freeze()
+                        bench.attempt(f"{kind} killed", partial(bench.kill, kind))  # type: ignore[arg-type]
+                    bench.attempt("inference frozen", bench.freeze)
                     bench.stops()
                     progress.log(f"trial {trial + 1}/{arguments.trials}")
             finally:
@@ -257,7 +281,11 @@ def main() -> None:
     Console(width=130).print(table)
     if arguments.json:
         arguments.json.write_text(json.dumps({f"{fault}: {word}": values for (fault, word), values in times.items()}))
+    unseen = sorted({fault for fault, _ in BOUNDS_S} - {fault for fault, _ in times})
+    for fault in unseen:
+        print(f"no trial of {fault!r} succeeded")
+    return 1 if unseen else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -52,6 +54,10 @@ anyio.run(main)
 """
 
 
+ANSWER_S = 60.0
+"""A server that does not answer within this time is killed, which ends the benchmark."""
+
+
 class Wire:
     """A client that speaks JSON lines with a server process, and nothing else."""
 
@@ -60,11 +66,20 @@ class Wire:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         self._count = 0
+        self._asked_s = math.inf
+        self._over = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
         client = {"name": "bench", "version": "1"}
         self.ask("initialize", {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client})
         self._send({"jsonrpc": "2.0", "method": "notifications/initialized"})
         tools = self.ask("tools/list", {})["tools"]
         self._schemas = {tool["name"]: tool["outputSchema"] for tool in tools}
+
+    def _watch(self) -> None:
+        """Kill a server that does not answer: what waits for it then ends."""
+        while not self._over.wait(1.0):
+            if time.monotonic() > self._asked_s + ANSWER_S:
+                self._process.kill()
 
     def _send(self, message: dict[str, Any]) -> None:
         assert self._process.stdin is not None
@@ -74,16 +89,18 @@ class Wire:
     def ask(self, method: str, params: dict[str, Any]) -> dict[str, Any]:
         """The result of a request; RuntimeError when it is an error or the server is gone."""
         self._count += 1
+        self._asked_s = time.monotonic()
         self._send({"jsonrpc": "2.0", "id": self._count, "method": method, "params": params})
         assert self._process.stdout is not None
-        while line := self._process.stdout.readline():
+        for line in self._process.stdout:
             answer = json.loads(line)
             if answer.get("id") == self._count and "method" not in answer:
                 if "error" in answer:
                     raise RuntimeError(answer["error"])
+                self._asked_s = math.inf
                 result: dict[str, Any] = answer["result"]
                 return result
-        raise RuntimeError("the server has left")
+        raise RuntimeError(f"the server has left, or did not answer within {ANSWER_S:g} s")
 
     def call_ms(self, tool: str) -> float:
         """Time of one validated call [ms]."""
@@ -96,6 +113,7 @@ class Wire:
 
     def close(self) -> None:
         """End the server."""
+        self._over.set()
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(20)

@@ -114,13 +114,17 @@ def table(title: str, rows: dict[str, list[float]], digits: int = 0) -> None:
 
 
 def measure(seconds: float, clicks: int) -> int:
-    """Print the tables; status 1 when the machine was too busy to draw the pictures."""
+    """Print the tables; returns the exit status. What the machine lacks or is too busy for is told as missed."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        print("missed: not measured, there is no chromium (Debian: apt-get install chromium)")
+        return 0
     from playwright.sync_api import sync_playwright
 
     os.environ.update(ROS_DOMAIN_ID=str(free_ros_domain()), ROBONEURON_RECORDER="off")
     prepare_environment(Path(tempfile.mkdtemp()))
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         sent, ages_ms = measure_pictures(browser, Path(name), seconds)
         stops: list[Stop] = measure_stops(browser, Path(name), clicks) if clicks else []
         browser.close()
@@ -133,8 +137,8 @@ def measure(seconds: float, clicks: int) -> int:
         table("from the click to ... [ms]", rows)
         table("from the click on [rad]", {"way of the joint": [stop.way_rad for stop in stops]}, 3)
     if len(ages_ms) < sent / 2:
-        print(f"{len(ages_ms)} of {sent} pictures were drawn at a load of {load:.0f}: the machine is too busy.")
-        return 1
+        print(f"missed: {len(ages_ms)} of {sent} pictures were drawn at a load of {load:.0f}")
+        return 0
     table("from the source to pixels [ms]", {"each picture": ages_ms})
     print(f"95 % within {ages_ms[int(0.95 * (len(ages_ms) - 1))]:.0f} ms")
     return 0

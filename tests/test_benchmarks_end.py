@@ -17,6 +17,10 @@ WAITS = {"wait", "result", "join", "communicate", "wait_for_service", "get", "ac
 PROCESSES = {"run", "call", "check_call", "check_output"}
 ONE_ARGUMENT = {"wait_for": 2}
 """Positional arguments of calls whose bound stands after what is waited for."""
+POOLS = {"imap", "imap_unordered", "map", "starmap"}
+"""Of a pool of processes: they wait for a worker that has died."""
+WATCHDOGS = ("threading.Timer(", "daemon=True")
+"""A script that reads another process's output line by line has one of these: a pipe alone has no bound."""
 BOUNDS = ("deadline", "end_s", "timeout", "duration_s", "fail_after", "cancelled", "_stop")
 
 
@@ -35,6 +39,8 @@ def faults(text: str) -> Iterator[str]:
             yield f"line {node.lineno}: {ast.unparse(node)[:100]}"
         if isinstance(node, ast.While) and node not in bounded and _polls(node) and not _ends(node):
             yield f"line {node.lineno}: while {ast.unparse(node.test)[:100]}"
+        if isinstance(node, ast.For) and ast.unparse(node.iter).endswith(".stdout") and not _is_watched(text):
+            yield f"line {node.lineno}: for {ast.unparse(node.iter)[:100]}"
 
 
 def _has_no_bound(call: ast.Call) -> bool:
@@ -50,6 +56,8 @@ def _has_no_bound(call: ast.Call) -> bool:
         return name in PROCESSES
     if name == "call":  # of a ROS client; those of agents are bounded by `Client(read_timeout_seconds=...)`
         return not owner.endswith(("portal", "agent"))
+    if name in POOLS:
+        return "pool" in owner
     return (name in WAITS and not call.args) or len(call.args) < ONE_ARGUMENT.get(name, 0)
 
 
@@ -60,6 +68,10 @@ def _polls(loop: ast.While) -> bool:
 def _ends(loop: ast.While) -> bool:
     tests = [loop.test, *(node.test for node in ast.walk(loop) if isinstance(node, ast.If))]
     return any(word in ast.unparse(test) for test in tests for word in BOUNDS)
+
+
+def _is_watched(text: str) -> bool:
+    return any(word in text for word in WATCHDOGS)
 
 
 @pytest.mark.parametrize("path", [p for p in SCRIPTS if p.name not in PARTS_THAT_HANG], ids=lambda path: path.name)
@@ -80,6 +92,8 @@ def test_no_wait_of_a_benchmark_is_unbounded(path: Path) -> None:
         "subprocess.run(['true'], check=True)",
         "async def f():\n    async with Client(server) as client: pass",
         "while peers():\n    time.sleep(0.02)",
+        "pool.imap(run, jobs)",
+        "for line in process.stdout:\n    print(line)",
     ],
 )
 def test_an_unbounded_wait_is_found(text: str) -> None:
@@ -95,6 +109,8 @@ def test_an_unbounded_wait_is_found(text: str) -> None:
         "condition.wait_for(fact, 3.0)",
         "subprocess.run(['true'], timeout=5)",
         "Client(server, read_timeout_seconds=60)",
+        "pool.apply_async(run, jobs).get(30)",
+        "threading.Timer(30, process.kill).start()\nfor line in process.stdout:\n    print(line)",
         "while time.monotonic() < end_s:\n    time.sleep(0.02)",
         "async def f():\n    with anyio.fail_after(3):\n        while peers():\n            await anyio.sleep(0.02)",
     ],

@@ -132,7 +132,7 @@ def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it():
 
 def test_each_kind_has_many_mutants():
     counts = Counter(kind_of(mutant.rule) for mutant in MUTANTS.values())
-    assert sum(counts.values()) >= 300
+    assert sum(counts.values()) >= 400  # each is caught, or its own test above fails
     assert min(counts.values()) >= 20
 
 

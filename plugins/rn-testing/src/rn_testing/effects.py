@@ -24,13 +24,14 @@ HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujo
 """Modules whose import takes so long that it belongs into `load` or `open`."""
 PURE_CPU_S = 0.5
 """Processor time a constructor may take; generous, since what it must not do takes seconds."""
-MANY, QUICK_S, TRIES = 200, 0.001, 3
-"""Calls per round of the memory check, how quick a call must be for so many, and how many calls are timed."""
+MANY, QUICK_S, ROUND_S, TRIES = 200, 0.001, 0.25, 3
+"""Most calls per round of the memory check, how quick a call must be for so many in any case, how long a round of
+others may take when the least number of calls takes less, and how many calls are timed."""
 RELEASE_S = 3.0
 """How long what was closed may take to end."""
 LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
-"""What a quick call, another one (whose bounded histories are still filling) and, of memory that Python does not know,
-any call may keep; below is noise."""
+"""What each of MANY calls, each of the least number of calls (whose bounded histories are still filling) and, of memory
+that Python does not know, any call may keep; below is noise. Noise is a round's, so more calls show smaller leaks."""
 
 _EVENTS = {
     "open": "opens the file",
@@ -175,29 +176,30 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
     Args:
         action: the call.
         what: its name.
-        count: calls per round; of quick ones MANY are made, which fill every bounded history and show smaller leaks.
+        count: least calls per round; of quick ones MANY are made, which fill every bounded history.
     """
     times_s = []
     for _ in range(TRIES):
         begun_s = time.perf_counter()
         action()
         times_s.append(time.perf_counter() - begun_s)
-    is_quick = sorted(times_s)[TRIES // 2] < QUICK_S  # one may have found its answer waiting, or been interrupted
-    count = MANY if is_quick else count
+    typical_s = sorted(times_s)[TRIES // 2]  # one may have found its answer waiting, or been interrupted
+    calls = MANY if typical_s < QUICK_S else max(count, min(MANY, int(ROUND_S / typical_s)))
     traced: list[int] = []
     resident: list[int] = []
     tracemalloc.start(1)
     try:
         for _ in range(4):
-            for _ in range(count):
+            for _ in range(calls):
                 action()
             gc.collect()
             traced.append(tracemalloc.get_traced_memory()[0])
             resident.append(_resident_bytes())
     finally:
         tracemalloc.stop()
-    for marks, allowed in ((traced, LEAK_BYTES if is_quick else SLOW_LEAK_BYTES), (resident, RESIDENT_LEAK_BYTES)):
-        kept = min(later - sooner for sooner, later in itertools.pairwise(marks)) / count
+    python_bytes = LEAK_BYTES if calls >= MANY else max(LEAK_BYTES, SLOW_LEAK_BYTES * count / calls)
+    for marks, allowed in ((traced, python_bytes), (resident, RESIDENT_LEAK_BYTES)):
+        kept = min(later - sooner for sooner, later in itertools.pairwise(marks)) / calls
         if kept > allowed:
             raise Violation(f"{what} keeps about {kept:.0f} bytes of memory with every call")
 

@@ -1,0 +1,174 @@
+"""Every benchmark of the closed loop, one after the other; what went wrong with any of them is told again at the end.
+
+    python benchmarks/run_all.py [--quick] [--only bench_ik bench_loop]
+
+A benchmark that takes longer than its bound is ended with all processes of its session. A line "missed: ..." of a
+benchmark says that a limit of time was missed: on a loaded machine that says little, so it is told again at the end and
+is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise. `--quick` makes each as short as it can
+be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+HERE = Path(__file__).parent
+MISSED = "missed: "
+"""How a line begins by which a benchmark tells that a limit of time was missed."""
+ENDING_S = 20.0
+"""What a benchmark is given to end by itself at its bound, before it is killed."""
+KILLED_S = 60.0
+"""What the kernel is given to end a killed process."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Benchmark:
+    """One command.
+
+    Attributes:
+        script: its name without `.py`.
+        arguments: given always.
+        quick: further ones for a run that shows only that it works.
+        bound_s: when it is ended: several times what it takes on a loaded machine.
+    """
+
+    script: str
+    arguments: tuple[str, ...] = ()
+    quick: tuple[str, ...] = ()
+    bound_s: float = 1800.0
+
+    @property
+    def title(self) -> str:
+        """The command as one would type it."""
+        return " ".join((f"{self.script}.py", *self.arguments))
+
+    def command(self, is_quick: bool) -> list[str]:
+        """What is run."""
+        return [sys.executable, str(HERE / f"{self.script}.py"), *self.arguments, *(self.quick if is_quick else ())]
+
+
+BENCHMARKS = (
+    Benchmark(script="bench_plugins_list", quick=("--repeat", "3")),
+    Benchmark(script="bench_ik", quick=("--targets", "50")),
+    Benchmark(script="bench_loop", quick=("--frames", "60", "--rounds", "1")),
+    Benchmark(script="bench_execution", arguments=("--virtual",), quick=("--seeds", "1", "--duration", "5")),
+    Benchmark(script="bench_execution", quick=("--seconds", "3"), bound_s=3600.0),
+    Benchmark(script="bench_start_stop", quick=("--cycles", "2")),
+    Benchmark(script="bench_round_trip", quick=("--calls", "30")),
+    Benchmark(script="bench_switch", quick=("--switches", "2", "--cold", "1", "--rates", "10"), bound_s=3 * 3600.0),
+    Benchmark(script="bench_faults", quick=("--trials", "2"), bound_s=4 * 3600.0),
+    Benchmark(script="bench_direct", quick=("--calls", "20", "--stops", "3", "--starts", "1", "--sizes", "3")),
+    Benchmark(script="bench_servo", quick=("--seeds", "2"), bound_s=3600.0),
+    Benchmark(script="bench_servo", arguments=("--added-latency-ms", "300"), quick=("--seeds", "2"), bound_s=3600.0),
+    Benchmark(script="bench_eval", quick=("--episodes", "2")),
+    Benchmark(script="bench_interfaces", quick=("--repeat", "200")),
+    Benchmark(script="bench_view", quick=("--seconds", "5")),
+)
+
+
+@dataclass(kw_only=True, slots=True)
+class Ending:
+    """How a benchmark ended.
+
+    Attributes:
+        title: its command.
+        failure: why it counts as failed; empty when it does not.
+        missed: limits of time that it missed.
+        took_s: how long it ran.
+    """
+
+    title: str
+    failure: str = ""
+    missed: list[str] = field(default_factory=list)
+    took_s: float = 0.0
+
+
+def run(title: str, command: Sequence[str], bound_s: float) -> Ending:
+    """Run one command to its end or its bound, and pass on what it prints."""
+    ending = Ending(title=title)
+    begun_s = time.monotonic()
+    wide = {"COLUMNS": str(shutil.get_terminal_size((150, 24)).columns), "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env=os.environ | wide,
+        start_new_session=True,
+    )
+
+    def relay() -> None:
+        assert process.stdout is not None
+        with process.stdout:
+            for line in process.stdout:
+                print(line, end="", flush=True)
+                if line.startswith(MISSED):
+                    ending.missed.append(line.removeprefix(MISSED).strip())
+
+    reader = threading.Thread(target=relay, daemon=True)
+    reader.start()
+    try:
+        status = process.wait(bound_s)
+        if status:
+            ending.failure = f"exit status {status}"
+    except subprocess.TimeoutExpired:
+        ending.failure = f"ended after {bound_s:g} s"
+    finally:
+        _end(process)
+    reader.join(ENDING_S)  # a process that left the session may hold the pipe
+    ending.took_s = time.monotonic() - begun_s
+    return ending
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End what is left of the session, politely first."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(ENDING_S)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait(KILLED_S)
+
+
+def report(endings: Sequence[Ending]) -> int:
+    """Print how each ended; returns the exit status."""
+    print(f"\n{len(endings)} benchmarks, load now {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    for ending in endings:
+        word = f"FAILED, {ending.failure}" if ending.failure else "done"
+        print(f"  {ending.title:<48} {ending.took_s:6.0f} s  {word}")
+        for missed in ending.missed:
+            print(f"    {MISSED}{missed}")
+    return 1 if any(ending.failure for ending in endings) else 0
+
+
+def main() -> int:
+    """Run them and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="as short as it can be: only whether all of them work")
+    parser.add_argument("--only", nargs="+", choices=sorted({b.script for b in BENCHMARKS}), help="these alone")
+    arguments = parser.parse_args()
+    endings = []
+    for benchmark in BENCHMARKS:
+        if arguments.only and benchmark.script not in arguments.only:
+            continue
+        print(f"\n== {benchmark.title}", flush=True)
+        endings.append(run(benchmark.title, benchmark.command(arguments.quick), benchmark.bound_s))
+    return report(endings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
