@@ -9,6 +9,7 @@ from urllib.request import urlopen
 
 import anyio
 import pytest
+from mcp import Client
 from prometheus_client.parser import text_string_to_metric_families
 
 from rn_metrics.plugin import FEATURE
@@ -67,7 +68,7 @@ def call(feature, name, **answer):
     context = SimpleNamespace(method="tools/call", params={"name": name})
 
     async def next_one(_):
-        return SimpleNamespace(is_error="code" in answer, meta={ERROR_META: answer})
+        return {"isError": "code" in answer, "_meta": {ERROR_META: answer}}
 
     anyio.run(feature.meters, context, next_one)
 
@@ -83,6 +84,20 @@ def test_calls_are_counted_by_tool_and_result(serve):
     assert found["roboneuron_tool_calls_total", ("result", "state"), ("tool", "start_robot")] == 1
     assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "unknown")] == 1
     assert found["roboneuron_tool_call_seconds_count", ("tool", "get_status")] == 2
+
+
+def test_a_call_that_failed_is_counted_by_its_code_when_a_client_makes_it(serve):
+    application, feature = serve()
+
+    async def ask():
+        async with Client(application.server) as client:
+            await client.call_tool("get_status", {})
+            await client.call_tool("get_status", {"nonsense": 1})
+
+    anyio.run(ask)
+    found = scrape(feature)
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "get_status")] == 1
+    assert found["roboneuron_tool_calls_total", ("result", "invalid_input"), ("tool", "get_status")] == 1
 
 
 def test_decisions_of_the_gate_are_counted(serve):
