@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import anyio
@@ -24,6 +25,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 CONFIG = """
 [robot]
 name = "gantry"
+namespace = "{namespace}"
 [metrics]
 prometheus = {prometheus}
 port = 0
@@ -36,10 +38,10 @@ def serve(tmp_path):
     """Return a function that makes a server with the feature; nothing is started and no ROS is touched."""
     made = []
 
-    def make(*, prometheus=True):
+    def make(*, prometheus=True, namespace="gantry"):
         registry = fake_registry(FEATURE)
         application = Application(
-            parse_config(CONFIG.format(prometheus=str(prometheus).lower())),
+            parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
             supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
         )
@@ -135,6 +137,30 @@ def test_nothing_listens_unless_asked_for(serve):
     assert feature.port == 0
     assert feature.meters is None
     assert not [middleware for middleware in application.server.middleware if type(middleware).__name__ == "Meters"]
+
+
+def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(serve):
+    (left, of_left), (_, of_right) = serve(namespace="left"), serve(namespace="right")
+    assert of_left.port == of_right.port
+    call(of_right, "get_status")
+    found = scrape(of_left)
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("robot", "right"), ("tool", "get_status")] == 1
+    assert found["roboneuron_emergency_stop", ("robot", "left")] == 0
+    assert found["roboneuron_emergency_stop", ("robot", "right")] == 0
+    health = [key for key in found if key[0] == "roboneuron_module_health"]
+    assert all(dict(key[1:])["robot"] in ("left", "right") for key in health)
+    left.close()
+    assert scrape(of_right)["roboneuron_emergency_stop",] == 0  # alone again, it needs no label
+
+
+def test_the_last_robot_ends_the_endpoint(serve):
+    robots = [serve(namespace=name) for name in ("left", "right")]
+    for application, _ in robots:
+        application.close()
+    with pytest.raises(URLError):
+        scrape(robots[0][1])
+    _, later = serve()
+    assert scrape(later)["roboneuron_emergency_stop",] == 0
 
 
 def test_the_board_asks_for_metrics_that_there_are(serve):
