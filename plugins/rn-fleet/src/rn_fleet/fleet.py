@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rn_fleet.connection import SharedConnection
+from rn_fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
 from rn_fleet.middleware import RobotMiddleware
 from rn_fleet.resources import FleetResources, uri_of
@@ -118,6 +118,8 @@ class Fleet:
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state directory is pressed."""
         self._note_namespaces()
+        wanted, given = participants_of(r.loop.config for r in self.robots.values()), os.environ.get(PARTICIPANTS, "")
+        os.environ[PARTICIPANTS] = str(max(wanted, int(given) if given.isdecimal() else 0))
         for robot in self.robots.values():
             robot.open()
         self._look()

@@ -31,8 +31,8 @@ class RobotMiddleware:
 
     async def __call__(self, ctx: Any, call_next: CallNext) -> Any:
         """Hand the request on, through the middleware of the robot that it means."""
-        params = ctx.params if ctx.method == "tools/call" else None
-        arguments = (params or {}).get("arguments") or {}
+        params: Mapping[str, Any] = ctx.params or {} if ctx.method == "tools/call" else {}
+        arguments = params.get("arguments") or {}
         robot = None
         if params and isinstance(arguments, Mapping):
             robot = self._tools.meant_robot(str(params.get("name")), arguments)
