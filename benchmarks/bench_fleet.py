@@ -7,7 +7,8 @@ Each robot is a `[robots.<name>]` with a robot process of its own whose driver n
 velocities at 10 Hz, 10 s each.
 
 - lost: numbers that the tool said it sent and that the base never noted, of robots that were not killed.
-- stop: from the call of emergency_stop (all robots) until the last robot has noted a zero command, while all drive.
+- stop: from the call of emergency_stop (all robots) until the last robot was told to stand, while all drive: by the
+  zero command of the server, or by its own module, which looks at the latch and then refuses all commands.
 - killed: half way one robot process is killed (SIGKILL). Lateness of a command is its arrival against the sequence's
   own clock (its number times 0.1 s), counted from the earliest command of that sequence. p99 of the others after the
   kill is held against p99 before.
@@ -132,7 +133,7 @@ async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 async def stop_once(agent: Agent, bases: list[Base]) -> float | None:
-    """Drive all, stop all, release all; ms until the last zero command, None when some base got none."""
+    """Drive all, stop all, release all; ms until the last base was told to stand, None when some base was not."""
     before = {base.name: base.count() for base in bases}
 
     async def drive(base: Base) -> None:
@@ -276,10 +277,10 @@ def _report_stops(stops_ms: list[float | None], robots: int) -> bool:
         print("fleet stop                 no stop reached all robots")
         return True
     median = statistics.median(times)
-    print(f"fleet stop -> last zero    median {median:.1f} ms of {len(times)}, p95 {percentile(times, 0.95):.1f}, "
+    print(f"fleet stop -> last stands  median {median:.1f} ms of {len(times)}, p95 {percentile(times, 0.95):.1f}, "
           f"worst {max(times):.1f}; {robots} robots (median at most {MOST_STOP_MS:g})")  # fmt: skip
     if len(times) < len(stops_ms):
-        print(f"  in {len(stops_ms) - len(times)} stops some base got no zero command within {ZERO_S:g} s")
+        print(f"  in {len(stops_ms) - len(times)} stops some base was not told to stand within {ZERO_S:g} s")
     return median > MOST_STOP_MS or len(times) < len(stops_ms)
 
 

@@ -1,7 +1,8 @@
 """The plugin bench_fleet.py measures with: a mobile base that drives nowhere and notes when each command arrived.
 
 A command carries its number in `linear.y`. A note is 24 bytes: CLOCK_MONOTONIC [ns] as int64, `linear.x` and the number
-as float64.
+as float64. A `hold` of the driver is noted as speed 0 and number -1: a robot module that knows of an emergency stop
+holds, and hands its driver no more commands, the zero of the server included.
 """
 
 from __future__ import annotations
@@ -98,7 +99,9 @@ class Light:
         return command
 
     def hold(self) -> None:
-        """It stands always."""
+        """Note it: a base would brake now."""
+        if self._file >= 0:
+            os.write(self._file, NOTE.pack(time.monotonic_ns(), 0.0, -1.0))
 
     def close(self) -> None:
         """Leave the file open: the process ends next, and late commands are noted too."""
