@@ -287,7 +287,7 @@ def main() -> int:
     parser.add_argument("--braking-runs", type=int, default=10)
     parser.add_argument("--fail", type=float, default=0.4, help="share of the grasps that fail")
     parser.add_argument("--grasps", type=int, default=2, help="grasps that the servo itself tries in an attempt")
-    parser.add_argument("--image-px", type=int, default=112, help="width and height of the pictures")
+    parser.add_argument("--image-px", type=int, default=160, help="width and height of the pictures")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/tasks.jsonl"), help="ledger, continued when it exists")
     parser.add_argument("--minutes", type=float, default=600.0, help="begin no further run after so long; go on later")
