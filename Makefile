@@ -18,6 +18,7 @@ LEROBOT_PYTHON ?= python3.12
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
   plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
+FLEET_PACKAGES := plugins/rn-fleet plugins/rn-robot-bases plugins/rn-tasks
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
 # These compile ROS 2 types and need a C++ compiler; without one the rest works, and their tests are skipped.
@@ -144,6 +145,9 @@ train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: de
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at the same time
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
 
+demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
+	@$(BIN)/python examples/demo_fleet.py $(ARGS)
+
 test: test-units test-ros ## the default test suite
 
 test-units: $(VENV)/.develop ## its tests without ROS processes, JOBS at a time
@@ -176,8 +180,11 @@ soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random fault
 	$(BIN)/python benchmarks/soak.py $(ARGS)
 
 bench-tasks: $(VENV)/.develop ## outcomes of tasks against the simulator's truth, and start_all beside four calls (ARGS="--runs 20" for less)
-	$(BIN)/python benchmarks/bench_tasks.py $(ARGS)
+	$(BIN)/python benchmarks/bench_tasks.py --workers $(JOBS) $(ARGS)
 	$(BIN)/python benchmarks/bench_start_all.py
+
+bench-fleet: $(VENV)/.develop ## 16 light bases behind one server: lost commands, fleet stop, one killed (ARGS="--minutes 1 --stops 20" for less)
+	$(BIN)/python benchmarks/bench_fleet.py $(ARGS)
 
 bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches against one at a time
 	$(BIN)/python benchmarks/bench_shared_inference.py $(ARGS)
@@ -231,6 +238,10 @@ $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	  --editable plugins/rn-fleet)
 	@touch $@
 
+$(VENV)/.demo-fleet: $(VENV)/.demo
+	$(call install,bases$(comma) fleet$(comma) tasks,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
+	@touch $@
+
 $(VENV)/.docs: constraints.txt | $(BIN)/python
 	$(PIP) --constraint constraints.txt mkdocs-material 'mkdocstrings[python]'
 	@touch $@
@@ -245,4 +256,4 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco franky-control playwright rosbags)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet

@@ -1,11 +1,12 @@
 """run_task against the simulator's truth: the servo in PyBullet, with grasps made to fail at random.
 
-    python benchmarks/bench_tasks.py --runs 200 [--workers 2] [--out tasks.jsonl]
+    python benchmarks/bench_tasks.py --runs 200 [--workers 2] [--minutes 5] [--out out/tasks.jsonl]
 
 Each run is a scene of its own (its seed decides everything) by the clock of the simulation: the servo, the controller
 and its limits, the task's runner, its predicates and its detectors are those of a running robot; processes and ROS are
-left out. A grasp fails with the probability --fail in one of two ways: the fingers jam before they touch the cube, so
-that the policy believes that it holds something; or they let go on the way up. The ledger --out is continued.
+left out. Pictures are small (--image-px; a robot's are 224). A grasp fails with the probability --fail in one of two
+ways: the fingers jam before they touch the cube, so that the policy believes that it holds something; or they let go on
+the way up. The ledger --out is continued.
 
 Judged: how many tasks succeed within three attempts (truth: the cube is 10 cm up when the task has ended), how many
 outcomes say what the simulator says, false successes, and the time from the predicate's becoming true until the last
@@ -15,6 +16,7 @@ motion, in runs that end in the middle of the lift.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import random
 import sys
@@ -30,7 +32,7 @@ from rn_eval.cubes import CubesScene
 from rn_eval.plan import EvalPlan
 from rn_eval.policy import load_backend
 from rn_eval.runner import Runner
-from rn_eval.suite import Setup
+from rn_eval.suite import Setup, Suite
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.simulation import STEP_S, Simulation
 from rn_tasks.judging import Judge
@@ -42,6 +44,7 @@ from roboneuron import Backend, Observation, RoboNeuronError
 from roboneuron.config import load_config
 from roboneuron.modules.plugin import build
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.registry import Registry
 from roboneuron.server.tool import Picture
 
 LEAST_SUCCESS, LEAST_RIGHT = 0.95, 0.99
@@ -194,22 +197,25 @@ def on_the_way_up() -> Predicate:
     return parse_predicate({"kind": "all", "of": [{"kind": "gripper_holds", "most_open": 0.8}, box]})
 
 
-def play(seed: int, fail: float, grasps: int, braking: bool) -> dict[str, Any]:
-    """One task in one scene."""
-    begun_s = time.perf_counter()
+@functools.lru_cache(maxsize=1)
+def parts(grasps: int, image_px: int) -> tuple[Registry, Setup, Suite, Backend]:
+    """Plugins, controller, suite and backend: made once for all runs of a process."""
     config = load_config(None)
     config = config.model_copy(update={"plugins": {**config.plugins, "servo": {"max_attempts": grasps}}})
     plan = EvalPlan(
         config=config.model_dump(mode="json"), suite="cubes", backend="servo", episodes=1, strips="none",
-        suite_options={"camera_hz": 1 / CAMERA_S, "engine": "pybullet"},
+        suite_options={"camera_hz": 1 / CAMERA_S, "engine": "pybullet", "image_px": image_px},
     )  # fmt: skip
     registry = discover()
-    runner = Runner(plan)
-    setup = runner._setup
-    suite = plan.build_suite(registry)
+    return registry, Runner(plan)._setup, plan.build_suite(registry), load_backend(plan, registry, "none")
+
+
+def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> dict[str, Any]:
+    """One task in one scene."""
+    begun_s = time.perf_counter()
+    registry, setup, suite, backend = parts(grasps, image_px)
     episode = suite.episodes(1, seed)[0]
     scene = cast("CubesScene", suite.open(episode, setup))
-    backend = load_backend(plan, registry, "none")
     try:
         gripper = FailingGripper(scene._simulation, 0.0 if braking else fail, seed)
         cell = SimulatedCell(scene, backend, setup)
@@ -231,16 +237,15 @@ def play(seed: int, fail: float, grasps: int, braking: bool) -> dict[str, Any]:
             stopped_s = max(0.0, cell.moved_s - found_s)
         state = scene._simulation.cubes()[colour]
         return {
-            "seed": seed, "braking": braking, "fail": fail, "outcome": end.outcome.value, "attempts": end.attempts,
+            "seed": seed, "braking": braking, "fail": fail, "image_px": image_px, "most_grasps": grasps,
+            "outcome": end.outcome.value, "attempts": end.attempts,
             "reason": end.reason, "truth": bool(state.lifted_m >= 0.10), "lifted_m": round(state.lifted_m, 3),
             "grasps": gripper.grasps, "failed_grasps": gripper.failed, "simulated_s": round(end.took_s, 2),
             "attempts_failed": [text for _, text in told if ": failed" in text],
             "stopped_s": stopped_s, "wall_s": round(time.perf_counter() - begun_s, 1),
         }  # fmt: skip
     finally:
-        backend.close()
         scene.close()
-        runner.close()
 
 
 def report(lines: list[dict[str, Any]]) -> int:
@@ -282,22 +287,36 @@ def main() -> int:
     parser.add_argument("--braking-runs", type=int, default=10)
     parser.add_argument("--fail", type=float, default=0.4, help="share of the grasps that fail")
     parser.add_argument("--grasps", type=int, default=2, help="grasps that the servo itself tries in an attempt")
+    parser.add_argument("--image-px", type=int, default=160, help="width and height of the pictures")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("tasks.jsonl"), help="ledger, continued when it exists")
+    parser.add_argument("--out", type=Path, default=Path("out/tasks.jsonl"), help="ledger, continued when it exists")
+    parser.add_argument("--minutes", type=float, default=600.0, help="begin no further run after so long; go on later")
     arguments = parser.parse_args()
+    end_s = time.monotonic() + 60.0 * arguments.minutes
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
+    mine = {"fail": arguments.fail, "image_px": arguments.image_px, "most_grasps": arguments.grasps}
+    lines = [line for line in lines if all(line.get(key) == value for key, value in mine.items())]
     known = {(line["seed"], line["braking"]) for line in lines}
     wanted = [(seed, False) for seed in range(arguments.runs)] + [(s, True) for s in range(arguments.braking_runs)]
+    left = [(seed, braking) for seed, braking in wanted if (seed, braking) not in known]
+    begun_s = time.monotonic()
     with ProcessPoolExecutor(arguments.workers) as pool, arguments.out.open("a") as ledger:
         jobs = [
-            pool.submit(play, seed, arguments.fail, arguments.grasps, braking)
-            for seed, braking in wanted
-            if (seed, braking) not in known
+            pool.submit(play, seed, arguments.fail, arguments.grasps, braking, arguments.image_px)
+            for seed, braking in left
         ]
         for job in as_completed(jobs):
+            if job.cancelled():
+                continue
             lines.append(job.result(timeout=0))
             ledger.write(json.dumps(lines[-1]) + "\n")
             ledger.flush()
+            if time.monotonic() > end_s:
+                for waiting in jobs:
+                    waiting.cancel()
+    done = sum(not job.cancelled() for job in jobs)
+    print(f"{done} of {len(left)} missing runs in {(time.monotonic() - begun_s) / 60:.1f} minutes")
     return report(lines)
 
 

@@ -99,6 +99,19 @@ def test_reports_of_modules_are_read_and_those_of_others_are_not(tmp_path: Any) 
     assert not status.emergency_stop
 
 
+def test_the_latch_is_that_of_the_robot_with_the_namespace_whatever_its_folder_is_called(tmp_path: Any) -> None:
+    for name, namespace in (("left", "hall_2/a"), ("right", "hall_2/b")):
+        (tmp_path / "robots" / name).mkdir(parents=True)
+        (tmp_path / "robots" / name / "namespace").write_text(namespace)
+    (tmp_path / "robots" / "right" / "emergency_stop.latched").write_text("{}")
+    listener = DiagnosticsListener(tmp_path)
+    facts = {"state": "active", "ready": "true", "error_code": "", "loop_age_s": "0.01"}
+    for namespace in ("hall_2/a", "hall_2/b", "alone"):
+        listener.receive(message(f"{namespace}/robot", os.getpid(), **facts))
+    found = {status.namespace: status.emergency_stop for status in listener.read_status()}
+    assert found == {"alone": False, "hall_2/a": False, "hall_2/b": True}
+
+
 def test_nothing_heard_is_one_status_without_modules(tmp_path: Any) -> None:
     (tmp_path / "emergency_stop.latched").write_text("{}")
     (status,) = DiagnosticsListener(tmp_path).read_status()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import anyio
 import pytest
+from mcp import Client
 from prometheus_client.parser import text_string_to_metric_families
 
 from rn_metrics.plugin import FEATURE
@@ -23,6 +25,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 CONFIG = """
 [robot]
 name = "gantry"
+namespace = "{namespace}"
 [metrics]
 prometheus = {prometheus}
 port = 0
@@ -35,10 +38,10 @@ def serve(tmp_path):
     """Return a function that makes a server with the feature; nothing is started and no ROS is touched."""
     made = []
 
-    def make(*, prometheus=True):
+    def make(*, prometheus=True, namespace="gantry"):
         registry = fake_registry(FEATURE)
         application = Application(
-            parse_config(CONFIG.format(prometheus=str(prometheus).lower())),
+            parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
             supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
         )
@@ -67,7 +70,7 @@ def call(feature, name, **answer):
     context = SimpleNamespace(method="tools/call", params={"name": name})
 
     async def next_one(_):
-        return SimpleNamespace(is_error="code" in answer, meta={ERROR_META: answer})
+        return {"isError": "code" in answer, "_meta": {ERROR_META: answer}}
 
     anyio.run(feature.meters, context, next_one)
 
@@ -83,6 +86,20 @@ def test_calls_are_counted_by_tool_and_result(serve):
     assert found["roboneuron_tool_calls_total", ("result", "state"), ("tool", "start_robot")] == 1
     assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "unknown")] == 1
     assert found["roboneuron_tool_call_seconds_count", ("tool", "get_status")] == 2
+
+
+def test_a_call_that_failed_is_counted_by_its_code_when_a_client_makes_it(serve):
+    application, feature = serve()
+
+    async def ask():
+        async with Client(application.server) as client:
+            await client.call_tool("get_status", {})
+            await client.call_tool("get_status", {"nonsense": 1})
+
+    anyio.run(ask)
+    found = scrape(feature)
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "get_status")] == 1
+    assert found["roboneuron_tool_calls_total", ("result", "invalid_input"), ("tool", "get_status")] == 1
 
 
 def test_decisions_of_the_gate_are_counted(serve):
@@ -120,6 +137,30 @@ def test_nothing_listens_unless_asked_for(serve):
     assert feature.port == 0
     assert feature.meters is None
     assert not [middleware for middleware in application.server.middleware if type(middleware).__name__ == "Meters"]
+
+
+def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(serve):
+    (left, of_left), (_, of_right) = serve(namespace="left"), serve(namespace="right")
+    assert of_left.port == of_right.port
+    call(of_right, "get_status")
+    found = scrape(of_left)
+    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("robot", "right"), ("tool", "get_status")] == 1
+    assert found["roboneuron_emergency_stop", ("robot", "left")] == 0
+    assert found["roboneuron_emergency_stop", ("robot", "right")] == 0
+    health = [key for key in found if key[0] == "roboneuron_module_health"]
+    assert all(dict(key[1:])["robot"] in ("left", "right") for key in health)
+    left.close()
+    assert scrape(of_right)["roboneuron_emergency_stop",] == 0  # alone again, it needs no label
+
+
+def test_the_last_robot_ends_the_endpoint(serve):
+    robots = [serve(namespace=name) for name in ("left", "right")]
+    for application, _ in robots:
+        application.close()
+    with pytest.raises(URLError):
+        scrape(robots[0][1])
+    _, later = serve()
+    assert scrape(later)["roboneuron_emergency_stop",] == 0
 
 
 def test_the_board_asks_for_metrics_that_there_are(serve):

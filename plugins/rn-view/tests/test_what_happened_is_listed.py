@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import anyio
 import pytest
+from mcp import Client, types
+from mcp.server import Server
 
 from rn_view.happenings import AuditTail, Happenings, ToolCalls, add_record
 from rn_view.markup import happenings_list, modules_table, stop_text
@@ -35,17 +37,37 @@ def calls(result):
 
 
 def test_a_call_is_listed_when_it_begins_and_ends():
-    begun, done = calls(SimpleNamespace(is_error=False, content=[]))
+    begun, done = calls({"isError": False, "content": []})
     assert begun.text == 'start_robot(driver="simulated") ...'
     assert "done" in done.text
     assert not done.is_bad
 
 
 def test_a_refused_call_is_listed_with_its_reason():
-    failed = calls(SimpleNamespace(is_error=True, content=[SimpleNamespace(text="it runs already")]))[1]
+    failed = calls({"isError": True, "content": [{"type": "text", "text": "it runs already"}]})[1]
     assert failed.is_bad
     assert "it runs already" in failed.text
     assert calls(ValueError("x"))[1].is_bad
+
+
+def test_what_a_client_is_told_is_listed():
+    happenings = Happenings()
+
+    async def refuse(context, params):
+        return types.CallToolResult(content=[types.TextContent(type="text", text="it runs already")], is_error=True)
+
+    async def no_tools(context, params):
+        return types.ListToolsResult(tools=[])
+
+    server = Server("one", on_call_tool=refuse, on_list_tools=no_tools)
+    server.middleware.append(ToolCalls(happenings))
+
+    async def ask():
+        async with Client(server) as client:
+            await client.call_tool("start_robot", {})
+
+    anyio.run(ask)
+    assert [happening.text for happening in happenings.newest(9) if happening.is_bad and "it runs" in happening.text]
 
 
 def record(number):

@@ -10,6 +10,7 @@ import pytest
 from roboneuron.errors import ConfigurationError
 from roboneuron.ros.environment import (
     BOOTSTRAP_GUARD,
+    PARTICIPANTS,
     PORT_OFFSET,
     fast_dds_profile,
     module_environment,
@@ -33,6 +34,7 @@ def test_an_empty_environment_gets_every_default() -> None:
     assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(fast_dds_profile())
     assert environment["ROS_LOG_DIR"] == "logs"
     assert environment[PORT_OFFSET] == "11"
+    assert environment[PARTICIPANTS] == "32"
 
 
 @pytest.mark.parametrize(

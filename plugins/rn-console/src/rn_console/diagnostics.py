@@ -125,12 +125,11 @@ class DiagnosticsListener:
                 for (place, node, pid), report in sorted(reports.items(), key=_in_order)
                 if place == namespace
             ]
-            folder = robot_folder(self._state_directory, namespace.replace("_", "-"))
-            own = robot_folder(self._state_directory, namespace) if not folder.is_dir() else folder
-            directory = own if namespace and own.is_dir() else self._state_directory
+            server = _server_of([m.pid for m in modules if m.pid is not None], servers)
+            runs = [one.log_directory for one in servers if server is not None and one.pid == server.pid]
+            directory = self._folder_of(namespace, runs)
             latch = EmergencyStopLatch(directory / FILE_NAME, time.time_ns).read_state()
             cause = f"{latch.who}: {latch.reason}" if latch.reason else latch.who
-            server = _server_of([m.pid for m in modules if m.pid is not None], servers)
             found.append(
                 ServerStatus(
                     source=f"/diagnostics of ROS domain {domain}",
@@ -144,10 +143,30 @@ class DiagnosticsListener:
             )
         return found
 
+    def _folder_of(self, namespace: str, runs: list[Path]) -> Path:
+        """Where the latch of a robot is: a server of several robots notes in each one's folder whose it is.
+
+        The state directory itself for a robot that is alone in its server.
+
+        Args:
+            namespace: of the robot.
+            runs: log directories of its server, `<folder>/log/<run>`; none when the server has ended.
+        """
+        folders = sorted(robot_folder(self._state_directory).parent.glob("*"))
+        own = [folder for folder in folders if not runs or any(run.is_relative_to(folder) for run in runs)]
+        return next((folder for folder in own if _noted_namespace(folder) == namespace), self._state_directory)
+
 
 def own_domain() -> str:
     """The ROS domain of this process."""
     return os.environ.get("ROS_DOMAIN_ID") or "0"
+
+
+def _noted_namespace(folder: Path) -> str:
+    try:
+        return (folder / "namespace").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
 
 
 def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]:

@@ -53,9 +53,10 @@ class Agent:
             raise NotReadyError(f"{tool}: {' '.join(texts)}")
         return dict(result.structured_content or {})
 
-    async def image(self, camera: str) -> bytes:
-        """The newest image of a camera, encoded."""
-        result = await self._client.call_tool("get_camera_image", {"camera": camera})
+    async def image(self, camera: str, robot: str | None = None) -> bytes:
+        """The newest image of a camera, encoded; of one of several robots where it is named."""
+        arguments = {"camera": camera} if robot is None else {"camera": camera, "robot": robot}
+        result = await self._client.call_tool("get_camera_image", arguments)
         for part in result.content:
             if isinstance(part, ImageContent):
                 return base64.b64decode(part.data)

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from roboneuron.config import Config
+from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.supervisor.launching import Connection
+
+PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
+"""Environment variable: how many participants of this host each looks for in the range LOCALHOST."""
+_MOST = 115
+"""A domain has 250 ports, of which each participant takes two. Source: RTPS 2.2, 9.6.1.1."""
+_OTHERS = 8
+"""The server, and programs beside it such as `roboneuron status` or a recorder."""
+
+
+def participants_of(robots: Iterable[Config]) -> int:
+    """How many participants have to find each other: the modules of all robots, and a few others."""
+    modules = sum(getattr(robot, kind) is not None for robot in robots for kind in MODULE_KINDS)
+    return min(_MOST, modules + _OTHERS)
 
 
 class SharedConnection(Connection):

@@ -15,14 +15,16 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rn_fleet.connection import SharedConnection
+from rn_fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
+from rn_fleet.middleware import RobotMiddleware
 from rn_fleet.resources import FleetResources, uri_of
 from rn_fleet.tools import FleetTools
 from roboneuron.config import Config, robot_folder
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
 from roboneuron.gate.estop import EmergencyStopLatch
+from roboneuron.log_files import make_log_directory
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.app import INSTRUCTIONS, Application
 from roboneuron.server.emergency import SIGNAL, press_on_signal
@@ -35,6 +37,8 @@ from roboneuron.supervisor.launching import Command, module_command
 from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
+NAMESPACE_FILE = "namespace"
+"""In a robot's folder: its ROS namespace, for `roboneuron status`, which has no configuration."""
 _LOOK_S = 0.02
 """As often as modules look at the latches of their robots."""
 
@@ -56,6 +60,7 @@ class Fleet:
         self, config: Config, state: Path, *, plugins: PluginCatalogue | None = None, command: Command = module_command
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        self._state = state
         self._connection = SharedConnection(logs)
         self._latch = EmergencyStopLatch(state / LATCH_NAME, time.time_ns)
         self._was_latched = False
@@ -80,6 +85,7 @@ class Fleet:
             f"{INSTRUCTIONS.partition('. ')[2]}"
         )
         self.server = make_server(self, config.server.name, instructions)
+        self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
         first = next(iter(self.robots.values()))
         self._host = replace(first.host, server=self.server, events=self.events, check_resource=self.resources.check)
         first.features.attach(self._host)
@@ -111,6 +117,9 @@ class Fleet:
 
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state directory is pressed."""
+        self._note_namespaces()
+        wanted, given = participants_of(r.loop.config for r in self.robots.values()), os.environ.get(PARTICIPANTS, "")
+        os.environ[PARTICIPANTS] = str(max(wanted, int(given) if given.isdecimal() else 0))
         for robot in self.robots.values():
             robot.open()
         self._look()
@@ -178,6 +187,12 @@ class Fleet:
         self.events.client.listen(made.events.client.tell)
         self.events.presence.listen(made.events.presence.tell)
         return made
+
+    def _note_namespaces(self) -> None:
+        for name, robot in self.robots.items():
+            folder = robot_folder(self._state, name)
+            make_log_directory(folder)
+            (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
 
     def _look(self) -> None:
         """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it is reset itself."""

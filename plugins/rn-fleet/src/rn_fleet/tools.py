@@ -92,6 +92,16 @@ class FleetTools(ToolRegistry):
         rest = {key: value for key, value in arguments.items() if key != "robot"}
         return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
 
+    def meant_robot(self, tool: str, arguments: Mapping[str, Any]) -> Application | None:
+        """The robot whose tool a call means; None for a call of the whole fleet, and for one that will be refused."""
+        robot = arguments.get("robot")
+        if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):
+            return None
+        try:
+            return self._robots[self._choose(tool, robot)]
+        except RoboNeuronError:
+            return None
+
     def _choose(self, tool: str, robot: object) -> str:
         """The robot that a call means.
 

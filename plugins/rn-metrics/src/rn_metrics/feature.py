@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from roboneuron.config import Config
 from roboneuron.supervisor.changes import Periodic
 
 if TYPE_CHECKING:
+    from rn_metrics.exposition import Exposition
     from rn_metrics.meters import Meters
     from rn_metrics.spans import Spans
 
@@ -28,8 +28,8 @@ class MetricsFeature(Feature[MetricsOptions]):
     spans: Spans | None = None
     port = 0
     """Where metrics are served, once they are."""
-    _server: Any = None
-    _thread: threading.Thread | None = None
+    _exposition: Exposition | None = None
+    _robot = ""
     _looking: Periodic | None = None
 
     def check(self, config: Config) -> None:
@@ -58,25 +58,24 @@ class MetricsFeature(Feature[MetricsOptions]):
         return ()
 
     def start(self, host: Host) -> None:
-        """Serve the metrics.
+        """Serve the metrics, those of several robots at one address.
 
         Raises:
             ConfigurationError: the address cannot be used.
         """
         if self.meters is None:
             return
-        from prometheus_client import start_http_server
+        from rn_metrics.exposition import Exposition  # heavy
 
+        self._robot = host.config.namespace
         try:
-            self._server, self._thread = start_http_server(
-                self.options.port, self.options.host, registry=self.meters.registry
-            )
+            self._exposition = Exposition.join(self.options.host, self.options.port, self._robot, self.meters.registry)
         except OSError as error:
             raise ConfigurationError(
                 f"[metrics] {self.options.host}:{self.options.port} cannot be used: {error.strerror or error}.",
                 hint="Choose another `port`.",
             ) from error
-        self.port = self._server.server_port
+        self.port = self._exposition.port
         log.info("Metrics are at http://%s:%d/metrics.", self.options.host, self.port)
         self._looking = Periodic("metrics", _LOOK_S, self.meters.look)
         self._looking.start()
@@ -85,12 +84,9 @@ class MetricsFeature(Feature[MetricsOptions]):
         """End everything, and send what is left."""
         if self._looking is not None:
             self._looking.close()
-        server, self._server = self._server, None
-        if server is not None:
-            server.shutdown()
-            server.server_close()
-        if self._thread is not None:
-            self._thread.join(2.0)
+        exposition, self._exposition = self._exposition, None
+        if exposition is not None:
+            exposition.leave(self._robot)
         if self.spans is not None:
             self.spans.close()
             self.spans = None

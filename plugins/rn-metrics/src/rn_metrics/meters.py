@@ -108,10 +108,10 @@ class Meters:
 
 
 def result_of(answer: Any) -> str:
-    """`ok`, or the code of the error of a tool call."""
-    if not getattr(answer, "is_error", False):
+    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over the wire."""
+    if not (isinstance(answer, Mapping) and answer.get("isError")):
         return OK
-    details = (getattr(answer, "meta", None) or {}).get(ERROR_META, {})
+    details = (answer.get("_meta") or {}).get(ERROR_META, {})
     return str(details.get("code", "error"))
 
 

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -98,10 +98,10 @@ class ToolCalls:
 
 
 def failure_of(result: Any) -> str:
-    """The text of a failed call; empty when it did not fail."""
-    if not getattr(result, "is_error", False):
+    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it did not fail."""
+    if not (isinstance(result, Mapping) and result.get("isError")):
         return ""
-    return " ".join(block.text for block in result.content if hasattr(block, "text")) or "failed"
+    return " ".join(block["text"] for block in result.get("content", ()) if "text" in block) or "failed"
 
 
 def shown_arguments(arguments: object) -> str:

@@ -31,6 +31,7 @@ class View:
         """Add the arguments of `roboneuron view`."""
         parser.add_argument("--config", type=Path, metavar="FILE", help="the server's roboneuron.toml")
         parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another")
+        parser.add_argument("--robot", metavar="NAME", help="which one of several robots")
         parser.add_argument("--run", help='play a recording: its id, "latest", or a path of MCAP files')
         parser.add_argument("--directory", type=Path, help="with --run: the directory of runs itself")
         parser.add_argument("--host", help="address to listen on; `view.host` without it")
@@ -50,14 +51,14 @@ class View:
         from roboneuron.config import feature_options, load_config
         from roboneuron.plugins.discovery import discover
 
-        config = load_config(arguments.config)
+        config, folder = _chosen(load_config(arguments.config), arguments.robot)
         options, http = feature_options(FEATURE, config), feature_options(HTTP, config)
         assert isinstance(options, ViewOptions)
         assert isinstance(http, HttpOptions)
         given = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
         options = ViewOptions.model_validate({**options.model_dump(), **given})
         admission = Admission(tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http))
-        source = _source(arguments, config, discover(config.disabled_plugins))
+        source = _source(arguments, config, discover(config.disabled_plugins), folder)
         viewer = Viewer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -74,7 +75,26 @@ class View:
         return 0
 
 
-def _source(arguments: Namespace, config: Config, registry: Registry) -> AttachedSource | RecordedSource:
+def _chosen(config: Config, robot: str | None) -> tuple[Config, str]:
+    """The configuration of the robot to show, and its folder in the state directory; "" for a server's only robot.
+
+    Raises:
+        ConfigurationError: there is none of that name, or there are several and none is named.
+    """
+    if robot is None and not config.robots:
+        return config, ""
+    if robot is None or robot not in config.robots:
+        known = ", ".join(config.robots) or "none: the configuration has no [robots.<name>]"
+        what = "Several robots can be shown." if robot is None else f"There is no robot {robot[:80]!r}."
+        raise ConfigurationError(what, hint=f"--robot names one of: {known}.")
+    from roboneuron.config import robot_folder
+
+    return config.robots[robot], str(robot_folder(Path(), robot))
+
+
+def _source(
+    arguments: Namespace, config: Config, registry: Registry, folder: str = ""
+) -> AttachedSource | RecordedSource:
     """What the page shows."""
     if arguments.run is None:
         if arguments.directory is not None:
@@ -83,7 +103,7 @@ def _source(arguments: Namespace, config: Config, registry: Registry) -> Attache
         from roboneuron.ros.environment import state_directory
 
         directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
-        return AttachedSource(config, registry, directory)
+        return AttachedSource(config, registry, directory / folder)
     try:
         from rn_runs.command import find_run, open_store
     except ImportError as error:

@@ -22,6 +22,8 @@ CLIENT_TOKEN = "ROBONEURON_TOKEN"
 """Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is named."""
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
 """How far the ports for a process's data lie above the first port of its domain; the shipped profile reads it."""
+PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
+"""How many participants of this host are looked for when discovery is LOCALHOST; the shipped profile reads it."""
 _STANDARD_OFFSET = 11
 MAX_DOMAIN = 232
 _SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
@@ -86,6 +88,7 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
     if not any(k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")):
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
     environment.setdefault(PORT_OFFSET, str(_STANDARD_OFFSET))
+    environment.setdefault(PARTICIPANTS, "32")
     environment.setdefault("ROS_LOG_DIR", str(log_directory))
 
 

@@ -1,0 +1,322 @@
+"""Many light bases behind one server: commands lost, time of a fleet stop, and what a killed robot does to the others.
+
+    python benchmarks/bench_fleet.py [--robots 16] [--minutes 10] [--stops 100]
+
+Each robot is a `[robots.<name>]` with a robot process of its own whose driver notes when each command arrives
+(`fleet_plugin.py`); nothing is simulated. All are driven at once by one client over stdio, by sequences of numbered
+velocities at 10 Hz, 10 s each.
+
+- lost: numbers that the tool said it sent and that the base never noted, of robots that were not killed.
+- stop: from the call of emergency_stop (all robots) until the last robot was told to stand, while all drive: by the
+  zero command of the server, or by its own module, which looks at the latch and then refuses all commands.
+- killed: half way one robot process is killed (SIGKILL). Lateness of a command is its arrival against the sequence's
+  own clock (its number times 0.1 s), counted from the earliest command of that sequence. p99 of the others after the
+  kill is held against p99 before.
+
+Judged: nothing lost; stop at most 50 ms (median) and every base stopped in every stop; p99 ratio at most 1.10.
+Times are of one host with one clock (CLOCK_MONOTONIC).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import anyio
+from fleet_plugin import NAME, NOTE, REPEAT_HZ
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+from plugin_site import installed
+
+from rn_demo.agent import Agent, module_status
+from roboneuron import RoboNeuronError
+from roboneuron.ros.environment import prepare_environment
+
+MOST_STOP_MS, MOST_RATIO = 50.0, 1.10
+STEP_S = 1.0 / REPEAT_HZ
+MOST_STEPS = 100
+SPEED_M_S = 0.2
+CALL_S, START_S, ZERO_S, DRIVE_S = 180.0, 600.0, 5.0, 30.0
+POLL_S = 0.005
+AT_ONCE = 4
+"""So many robots are started at once: each start imports rclpy, which a core does in a second."""
+
+
+@dataclass
+class Base:
+    """One robot as the client knows it.
+
+    Attributes:
+        notes: what its driver writes.
+        told: first and last number of each sequence whose call said that it was played to the end.
+    """
+
+    name: str
+    notes: Path
+    number: int = 1
+    told: list[tuple[int, int]] = field(default_factory=list)
+    published: int = 0
+    """Messages of those sequences, the stop message included, by the tool's answer."""
+    pid: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def arrivals(self, since: int = 0) -> list[tuple[int, float, int]]:
+        """Time [ns], speed and number of each command noted, from the `since`-th on."""
+        content = b""
+        if self.notes.exists():
+            with self.notes.open("rb") as file:
+                file.seek(since * NOTE.size)
+                content = file.read()
+        whole = len(content) // NOTE.size * NOTE.size
+        return [(at_ns, x, int(number)) for at_ns, x, number in NOTE.iter_unpack(content[:whole])]
+
+    def count(self) -> int:
+        """How many commands it has noted."""
+        return self.notes.stat().st_size // NOTE.size if self.notes.exists() else 0
+
+    def sequence(self, steps: int) -> tuple[int, dict[str, Any]]:
+        """The next numbers as arguments of publish_velocity_sequence; returns the first number too."""
+        first, self.number = self.number, self.number + steps
+        messages = [{"linear": {"x": SPEED_M_S, "y": float(number)}} for number in range(first, first + steps)]
+        return first, {"robot": self.name, "steps": [{"message": m, "duration_s": STEP_S} for m in messages]}
+
+
+def write_configuration(folder: Path, bases: Iterable[Base]) -> Path:
+    """One cell for each base."""
+    lines = [
+        'disabled_plugins = ["rn-recorder"]', 'features = ["fleet", "tools-ros"]',
+        "[server]", 'reset_emergency_stop = "client"',
+        "[supervisor]", "start_timeout_s = 300.0", f'state_directory = "{folder / "state"}"',
+    ]  # fmt: skip
+    for base in bases:
+        lines += [f"[robots.{base.name}]", f'robot = {{name = "{NAME}", state_rate_hz = 10.0}}']
+        lines += [f"[robots.{base.name}.plugins.{NAME}]", f'notes = "{base.notes}"']
+    path = folder / "fleet.toml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+async def start(agent: Agent, bases: Iterable[Base]) -> None:
+    """All robot processes, some at a time."""
+    limit = anyio.CapacityLimiter(AT_ONCE)
+
+    async def one(base: Base) -> None:
+        async with limit:
+            await agent.call("start_robot", {"robot": base.name})
+        status = await agent.call("get_status", {"robot": base.name})
+        base.pid = int(module_status(status, "robot")["pid"])
+
+    with anyio.fail_after(START_S):
+        async with anyio.create_task_group() as tasks:
+            for base in bases:
+                tasks.start_soon(one, base)
+
+
+async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
+    """Whether it came true in time."""
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end_s:
+            return False
+        await anyio.sleep(POLL_S)
+    return True
+
+
+async def stop_once(agent: Agent, bases: list[Base]) -> float | None:
+    """Drive all, stop all, release all; ms until the last base was told to stand, None when some base was not."""
+    before = {base.name: base.count() for base in bases}
+
+    async def drive(base: Base) -> None:
+        message = {"linear": {"x": SPEED_M_S}}
+        try:
+            await agent.call("publish_velocity", {"robot": base.name, "message": message, "duration_s": DRIVE_S})
+        except RoboNeuronError:
+            return  # it was stopped, as it should be
+        base.failures.append("a motion went on to its end in spite of the emergency stop")
+
+    def zero_ns(base: Base, since_ns: int) -> int | None:
+        return next((at for at, x, _ in base.arrivals(before[base.name]) if at > since_ns and x == 0.0), None)
+
+    async with anyio.create_task_group() as tasks:
+        for base in bases:
+            tasks.start_soon(drive, base)
+        if not await until(lambda: all(base.count() > before[base.name] for base in bases), DRIVE_S):
+            raise SystemExit("Some base got no command within 30 s.")
+        await anyio.sleep(0.3)  # away from the burst of the beginning
+        stopped_ns = time.monotonic_ns()
+        await agent.call("emergency_stop", {"reason": "benchmark"})
+        await until(lambda: all(zero_ns(base, stopped_ns) is not None for base in bases), ZERO_S)
+    zeros = [zero_ns(base, stopped_ns) for base in bases]
+    async with anyio.create_task_group() as tasks:
+        for base in bases:
+            tasks.start_soon(agent.call, "reset_emergency_stop", {"robot": base.name})
+    known = [zero for zero in zeros if zero is not None]
+    return (max(known) - stopped_ns) / 1e6 if len(known) == len(bases) else None
+
+
+async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float) -> None:
+    """Sequences until the time is over; robots begin one after the other, as they would, not all in one instant."""
+    await anyio.sleep(begin_s)
+    while (left_s := end_s - time.monotonic()) > 1.0:
+        steps = max(1, min(MOST_STEPS, round(left_s / STEP_S)))
+        first, arguments = base.sequence(steps)
+        try:
+            done = await agent.call("publish_velocity_sequence", arguments)
+        except RoboNeuronError as error:
+            base.failures.append(str(error))
+            return
+        base.told.append((first, first + steps - 1))
+        base.published += int(done["sent"])
+
+
+def lateness_ms(base: Base, split_ns: int) -> tuple[list[float], list[float]]:
+    """Lateness of the first arrival of each number, before and after a moment."""
+    first_at: dict[int, int] = {}
+    for at_ns, x, number in base.arrivals():
+        if x:
+            first_at.setdefault(number, at_ns)
+    before: list[float] = []
+    after: list[float] = []
+    for first, last in base.told:
+        own = {n: at - (n - first) * STEP_S * 1e9 for n, at in first_at.items() if first <= n <= last}
+        earliest = min(own.values(), default=0.0)
+        for number, at in own.items():
+            (before if first_at[number] < split_ns else after).append((at - earliest) / 1e6)
+    return before, after
+
+
+def percentile(values: list[float], share: float) -> float:
+    """The smallest value that this share of them does not exceed."""
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
+
+@dataclass
+class Found:
+    """What was measured."""
+
+    stops_ms: list[float | None] = field(default_factory=list)
+    victim: str = ""
+    killed_ns: int = 0
+    started_s: float = 0.0
+
+
+async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, log: Path) -> Found:
+    """Start, stop many times, then drive with one robot killed half way."""
+    found = Found(victim=bases[-1].name)
+    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(path)]
+    server = StdioServerParameters(command=sys.executable, args=words, env=dict(os.environ))
+    with log.open("w") as errors:
+        async with Client(stdio_client(server, errlog=errors), read_timeout_seconds=CALL_S) as client:
+            agent = Agent(client)
+            begun_s = time.monotonic()
+            await start(agent, bases)
+            found.started_s = time.monotonic() - begun_s
+            print(f"{len(bases)} robots started in {found.started_s:.1f} s", flush=True)
+            with anyio.fail_after(arguments.stops * CALL_S + 1.0):
+                for number in range(arguments.stops):
+                    found.stops_ms.append(await stop_once(agent, bases))
+                    if (number + 1) % 10 == 0:
+                        print(f"{number + 1} stops", flush=True)
+            end_s = time.monotonic() + 60.0 * arguments.minutes
+            with anyio.fail_after(60.0 * arguments.minutes + CALL_S):
+                async with anyio.create_task_group() as tasks:
+                    for index, base in enumerate(bases):
+                        tasks.start_soon(drive_for, agent, base, index * STEP_S / len(bases), end_s)
+                    await anyio.sleep(30.0 * arguments.minutes)
+                    os.kill(bases[-1].pid, signal.SIGKILL)
+                    found.killed_ns = time.monotonic_ns()
+            await anyio.sleep(0.5)  # what was sent last arrives
+    return found
+
+
+def report(found: Found, bases: list[Base]) -> int:
+    """Print the table; status 1 when a bound does not hold."""
+    others = [base for base in bases if base.name != found.victim]
+    sent = lost = messages = 0
+    early: list[float] = []
+    late: list[float] = []
+    ratios: dict[str, float] = {}
+    for base in others:
+        numbers = {number for _, x, number in base.arrivals() if x}
+        wanted = [n for first, last in base.told for n in range(first, last + 1)]
+        sent, lost = sent + len(wanted), lost + sum(n not in numbers for n in wanted)
+        messages += base.published
+        before, after = lateness_ms(base, found.killed_ns)
+        early, late = early + before, late + after
+        if before and after:
+            ratios[base.name] = percentile(after, 0.99) / percentile(before, 0.99)
+    bad = _report_commands(others, sent, lost, messages)
+    bad |= _report_stops(found.stops_ms, len(bases))
+    return int(bad | _report_kill(found.victim, early, late, ratios))
+
+
+def _report_commands(others: list[Base], sent: int, lost: int, messages: int) -> bool:
+    print(f"robots                     {len(others)} (and one that is killed)")
+    print(f"commands sent / lost       {sent} / {lost} (none allowed), {messages} messages with repetitions and stops")
+    failures = [f"  {base.name}: {failure}" for base in others for failure in base.failures]
+    print("\n".join(failures[:5]) if failures else "calls that failed          0")
+    return bool(failures) or lost > 0 or sent == 0
+
+
+def _report_stops(stops_ms: list[float | None], robots: int) -> bool:
+    if not stops_ms:
+        return False
+    times = [ms for ms in stops_ms if ms is not None]
+    if not times:
+        print("fleet stop                 no stop reached all robots")
+        return True
+    median = statistics.median(times)
+    print(f"fleet stop -> last stands  median {median:.1f} ms of {len(times)}, p95 {percentile(times, 0.95):.1f}, "
+          f"worst {max(times):.1f}; {robots} robots (median at most {MOST_STOP_MS:g})")  # fmt: skip
+    if len(times) < len(stops_ms):
+        print(f"  in {len(stops_ms) - len(times)} stops some base was not told to stand within {ZERO_S:g} s")
+    return median > MOST_STOP_MS or len(times) < len(stops_ms)
+
+
+def _report_kill(victim: str, early: list[float], late: list[float], ratios: Mapping[str, float]) -> bool:
+    if not early or not late:
+        print("lateness                   no commands before or after the kill")
+        return True
+    before, after = percentile(early, 0.99), percentile(late, 0.99)
+    ratio = after / before
+    print(f"lateness p50 before/after  {statistics.median(early):.2f} / {statistics.median(late):.2f} ms")
+    print(f"lateness p99 before/after  {before:.2f} / {after:.2f} ms, ratio {ratio:.2f} (at most {MOST_RATIO})")
+    print(f"  by robot: median of the ratios {statistics.median(ratios.values()):.2f}, largest "
+          f"{max(ratios.values()):.2f}; {victim} was killed")  # fmt: skip
+    return ratio > MOST_RATIO
+
+
+def main() -> int:
+    """Measure and print; status 1 when a bound does not hold."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, default=16)
+    parser.add_argument("--minutes", type=float, default=10.0, help="of driving; half of it before the kill")
+    parser.add_argument("--stops", type=int, default=100)
+    parser.add_argument("--folder", type=Path, help="keep configuration, notes and logs here; it must be empty")
+    arguments = parser.parse_args()
+    if arguments.robots < 2 or arguments.minutes <= 0 or arguments.stops < 0:
+        parser.error("at least two robots, more than no minutes, no negative stops")
+    with ExitStack() as stack:
+        folder = arguments.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(installed(folder, "fleet-benchmark", ("fleet_plugin",)))
+        prepare_environment(folder / "ros")
+        bases = [Base(f"r{number:02}", folder / f"r{number:02}.notes") for number in range(arguments.robots)]
+        path = write_configuration(folder, bases)
+        found = anyio.run(measure, path, bases, arguments, folder / "server.log")
+        return report(found, bases)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
