@@ -58,6 +58,12 @@ def _percent(axes: Any) -> None:
     axes.grid(axis="y", alpha=0.3)
 
 
+def _legend(axes: Any) -> None:
+    """Above the plot, where it covers no point; with one line there is nothing to tell apart."""
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        axes.figure.legend(loc="outside upper center", ncols=3, frameon=False)
+
+
 def _bars(axes: Any, rows: Sequence[Row]) -> None:
     shares = [row.success for row in rows]
     axes.bar(range(len(rows)), _points(shares), color="#5a7fb5", width=0.6)
@@ -79,7 +85,7 @@ def _tokens(axes: Any, rows: Sequence[Row]) -> None:
             [r.tokens for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4, label=" ".join(key)
         )
     axes.set_xlabel("tokens kept")
-    axes.legend()
+    _legend(axes)
     _percent(axes)
 
 
@@ -93,7 +99,7 @@ def _latency(axes: Any, rows: Sequence[Row]) -> None:
             label=f"{preset} {execution}",
         )  # fmt: skip
     axes.set_xlabel("latency of a prediction, median [ms]")
-    axes.legend()
+    _legend(axes)
     _percent(axes)
 
 
