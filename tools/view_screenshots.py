@@ -135,9 +135,8 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
             await call(f"start_{kind}")
         await call("start_inference", instruction=INSTRUCTION)
         await shoot(wide, folder / "view-live.jpg", WORKS)
+        await wide.close()  # two pages are too much for a machine that draws with its processor
         phone = await look(browser, url, PHONE)
-        await wide.close()
-        await phone.evaluate(FRAMES)
         await shoot_phone(phone, folder / "view-phone.jpg")
         await phone.close()
         await call("stop_all")
@@ -145,8 +144,8 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
 
 async def shoot_phone(page: Page, path: Path) -> None:
     """The pictures of the cameras are in a section of their own there, which is closed at first."""
-    await page.get_by_text(WORKS[1]).first.wait_for()
-    await anyio.sleep(3.0)  # the joints come
+    await page.wait_for_function("word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100)
+    await anyio.sleep(4.0)  # the joints come
     await page.screenshot(path=path, type="jpeg", quality=88)
     print(path.name, flush=True)
 
