@@ -96,12 +96,17 @@ async def look(browser: Browser, url: str, size: tuple[int, int]) -> Page:
     return page
 
 
-async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
-    """Take a picture when the page shows that, without the browser's notice that it has no graphics card."""
-    await page.wait_for_function(SHOWS, arg=list(words), polling=100)
+async def close_notice(page: Page) -> None:
+    """Close the browser's notice that it has no graphics card."""
     notice = page.locator(".mantine-Notification-closeButton")
     with suppress(TimeoutError):
-        await notice.first.click(force=True, timeout=3_000)
+        await notice.first.click(force=True, timeout=10_000)
+
+
+async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
+    """Take a picture when the page shows that."""
+    await page.wait_for_function(SHOWS, arg=list(words), polling=100)
+    await close_notice(page)
     await page.evaluate(FRAMES)  # the notice has faded, and the scene is drawn as it is now
     await anyio.sleep(0.7)
     await page.screenshot(path=path, type="jpeg", quality=88)
@@ -135,9 +140,8 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
             await call(f"start_{kind}")
         await call("start_inference", instruction=INSTRUCTION)
         await shoot(wide, folder / "view-live.jpg", WORKS)
+        await wide.close()  # two pages are too much for a machine that draws with its processor
         phone = await look(browser, url, PHONE)
-        await wide.close()
-        await phone.evaluate(FRAMES)
         await shoot_phone(phone, folder / "view-phone.jpg")
         await phone.close()
         await call("stop_all")
@@ -145,8 +149,9 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
 
 async def shoot_phone(page: Page, path: Path) -> None:
     """The pictures of the cameras are in a section of their own there, which is closed at first."""
-    await page.get_by_text(WORKS[1]).first.wait_for()
-    await anyio.sleep(3.0)  # the joints come
+    await page.wait_for_function("word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100)
+    await close_notice(page)
+    await anyio.sleep(4.0)  # the joints come
     await page.screenshot(path=path, type="jpeg", quality=88)
     print(path.name, flush=True)
 

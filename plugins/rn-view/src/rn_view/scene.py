@@ -156,7 +156,7 @@ class Scene:
         box = np.stack([limits.lower_m, limits.upper_m])
         centre = box.mean(axis=0) * np.array([0.8, 1.0, 0.9]) if np.isfinite(box).all() else np.array([0.3, 0.0, 0.3])
         is_phone = client.camera.image_width <= _PHONE_PX
-        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (1.0 if is_phone else 0.85)
+        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (1.25 if is_phone else 0.85)
         client.camera.look_at = centre - np.array([0.0, 0.0, _BELOW_M * is_phone])
 
 
