@@ -161,9 +161,8 @@ def moving_loop(
     `camera_options` is TOML: more keys of the camera, and sections after it; `backend_options`: keys of both backends.
     """
     with installed(scratch, "rn-switch", ("switch_plugin",)):
-        config = parse_config(
-            CONFIG.format(rate_hz=rate_hz, camera_options=camera_options, backend_options=backend_options)
-        )
+        text = CONFIG.format(rate_hz=rate_hz, camera_options=camera_options)
+        config = parse_config(f"{text}{backend_options}[plugins.first]\n{backend_options}")
         supervisor = Supervisor(scratch / "state")
         supervisor.on_join = (EXECUTION.on_join or "",)
         try:
