@@ -90,9 +90,11 @@ def test_no_prediction_in_shadow_lasts_beyond_the_moment(
     clocks.wall_ns = moment_ns - int(0.4e9)
     handover.rest()
     assert not rested_s, "this one ends before the moment"
+    assert handover.not_before_ns == 0
     clocks.wall_ns = moment_ns - int(0.2e9)
     handover.rest()
     assert rested_s == [pytest.approx(0.2)]
+    assert handover.not_before_ns == moment_ns
     clocks.wall_ns = moment_ns
     handover.rest()
     clocks.set_moment(handover, ACT_FROM, NEVER_NS)

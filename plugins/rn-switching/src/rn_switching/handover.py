@@ -86,10 +86,12 @@ class TimedHandover(Handover):
     def rest(self) -> None:
         """Called before each prediction: one in shadow that would still run at the moment of the handover is not begun.
 
-        The successor is free for the first image after the moment then, so that its first action is not late.
+        The successor is free for the first image after the moment then, so that its first action is not late. What was
+        captured before is left out from now on.
         """
         now_s, ahead_s = self._now_s(), (self._moments_ns[ACT_FROM] - self._now_ns()) / 1e9
         if 0.0 < ahead_s < self._took_s:
+            self.not_before_ns = self._moments_ns[ACT_FROM]
             time.sleep(ahead_s)
             now_s += ahead_s
         self._begun_s = now_s

@@ -12,7 +12,12 @@ class Handover:
     A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart by their time stamps
     [ROS time, ns]: capture times of images, times at which actions were sent and joints measured. Methods are called
     from any of the module's threads.
+
+    Attributes:
+        not_before_ns: images captured before it are not predicted on, not even in shadow.
     """
+
+    not_before_ns = 0
 
     def __init__(self, status: ModuleStatus) -> None:
         """Args:

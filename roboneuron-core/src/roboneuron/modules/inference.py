@@ -177,9 +177,11 @@ class InferenceModule(Module):
         if not self._executor.wait_until_wanted(stop, _WAIT_S):
             return
         observation = self._observe()
-        if observation is None or self._inputs.captured_ns(observation) < self._not_before_ns:
+        if observation is None:
             return
         captured_ns = self._inputs.captured_ns(observation)
+        if captured_ns < max(self._not_before_ns, self.handover.not_before_ns):
+            return
         if self.handover.is_over(captured_ns):
             self.status.set(note="handed over to the successor")
             return
