@@ -82,6 +82,7 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
             parent = child_of_this_process()
             recorder = recorder_pid(parent)
             assert recorder is not None
+            assert os.getpriority(os.PRIO_PROCESS, recorder) > os.getpriority(os.PRIO_PROCESS, parent)
 
             async def pids() -> dict[str, Any]:
                 modules = (await do("get_status"))["modules"]
