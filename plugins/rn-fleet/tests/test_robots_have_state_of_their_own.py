@@ -9,6 +9,7 @@ from mcp import types
 
 from rn_fleet.connection import participants_of
 from rn_fleet.fleet import Fleet
+from rn_fleet.plugin import FEATURE
 from rn_serve_http.feature import HttpFeature
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
@@ -108,8 +109,7 @@ def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> 
 
 def test_participants_are_looked_for_by_the_modules_of_all_robots() -> None:
     arm = '[robots.a{n}]\nrobot = "gantry"\n[robots.a{n}.inference]\nbackend = "instant"\n'
-    few, many = (
-        parse_config("".join(arm.format(n=n) for n in range(count)), registry=fake_registry()) for count in (3, 100)
-    )
+    registry = fake_registry(FEATURE)
+    few, many = (parse_config("".join(arm.format(n=n) for n in range(count)), registry=registry) for count in (3, 100))
     assert participants_of(few.robots.values()) == 3 * 2 + 8
     assert participants_of(many.robots.values()) == 115

@@ -151,7 +151,7 @@ class LiveOperator:
 
     async def _call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
-        return failure_of(result)
+        return failure_of(result.model_dump(mode="json", by_alias=True))
 
 
 class _Context:
