@@ -97,6 +97,23 @@ def test_no_prediction_in_shadow_lasts_beyond_the_moment(
     assert handover.not_before_ns == moment_ns
     clocks.wall_ns = moment_ns
     handover.rest()
+    assert handover.not_before_ns == moment_ns
     clocks.set_moment(handover, ACT_FROM, NEVER_NS)
     handover.rest()
     assert len(rested_s) == 1
+    assert handover.not_before_ns == 0, "the handover was undone"
+
+
+def test_what_was_captured_before_a_moment_is_not_left_out_for_ever(
+    clocks: Clocks, handover: TimedHandover, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rn_switching.handover.time.sleep", lambda seconds: None)
+    clocks.set_moment(handover, ACT_FROM, clocks.wall_ns + 10**8)
+    clocks.mono_s += 0.3
+    handover.withhold(ActionChunk(actions=np.zeros((8, 7)), step_s=0.05))
+    handover.rest()
+    assert handover.not_before_ns == clocks.wall_ns + 10**8
+    clocks.wall_ns -= HOUR_NS
+    clocks.mono_s += 10.0
+    handover.rest()
+    assert handover.not_before_ns == 0

@@ -89,9 +89,12 @@ class TimedHandover(Handover):
         The successor is free for the first image after the moment then, so that its first action is not late. What was
         captured before is left out from now on.
         """
-        now_s, ahead_s = self._now_s(), (self._moments_ns[ACT_FROM] - self._now_ns()) / 1e9
+        now_s, moment_ns = self._now_s(), self._moments_ns[ACT_FROM]
+        ahead_s = (moment_ns - self._now_ns()) / 1e9
+        if moment_ns != self.not_before_ns or now_s >= self._past_s[ACT_FROM]:
+            self.not_before_ns = 0
         if 0.0 < ahead_s < self._took_s:
-            self.not_before_ns = self._moments_ns[ACT_FROM]
+            self.not_before_ns = moment_ns
             time.sleep(ahead_s)
             now_s += ahead_s
         self._begun_s = now_s
