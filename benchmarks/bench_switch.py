@@ -125,7 +125,7 @@ def main() -> None:
     console = Console(width=150)
     progress = Console(stderr=True)
     table = Table(title="Change of the backend during motion")
-    heads = "rate, mode|switches|images missed|acted on twice|gap p50/p99/max [ms]|elsewhere p50/p99/max [ms]"
+    heads = "rate, mode|switches|images missed|acted on twice|gap min/p50/p99/max [ms]|elsewhere p50/p99/max [ms]"
     for head in (*heads.split("|"), "skipped elsewhere", "velocity step / elsewhere [m/s]", "call [s]"):
         table.add_column(head)
     for rate_hz in arguments.rates:
@@ -139,10 +139,10 @@ def main() -> None:
                     continue
                 outcome = series(switching, witness, mode, count, progress)  # type: ignore[arg-type]
 
-                def spread(values_s: np.ndarray) -> str:
+                def spread(values_s: np.ndarray, *shares: int) -> str:
                     if not len(values_s):
                         return "-"
-                    return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, [50, 99, 100]) * 1e3)
+                    return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, shares) * 1e3)
 
                 report = switching.loop.supervisor.view("inference").report
                 mode_now = "" if report is None else report.metrics.get("execution.mode", "")
@@ -152,8 +152,8 @@ def main() -> None:
                     f"{len(outcome.gaps_s)} of {count}",
                     str(outcome.missed),
                     str(outcome.twice),
-                    spread(outcome.gaps_s),
-                    spread(outcome.elsewhere_s),
+                    spread(outcome.gaps_s, 0, 50, 99, 100),
+                    spread(outcome.elsewhere_s, 50, 99, 100),
                     f"{outcome.skipped} of {outcome.images}",
                     f"{outcome.step_m_s:.3f} / {outcome.step_elsewhere_m_s:.3f}",
                     f"{outcome.took_s:.1f}",

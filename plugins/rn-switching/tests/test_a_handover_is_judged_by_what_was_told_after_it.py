@@ -100,6 +100,13 @@ def agree(client: Client) -> tuple[int, float]:
     return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, BRIDGED_NS)
 
 
+@pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])
+def test_the_new_one_waits_for_rows_of_the_old_one_where_there_are_any(has_rows: bool, bridged_ns: int) -> None:
+    check = SimpleNamespace(kind="inference", has_rows=lambda: has_rows)
+    switch = WarmSwitch(cast(Any, Machine()), cast(Any, None), cast(Any, check), lambda stage: None)
+    assert switch._bridged_ns(0.12) == bridged_ns
+
+
 def test_one_that_answers_too_late_is_told_a_later_moment() -> None:
     client = Client(late=2)
     moment_ns, due_s = agree(client)

@@ -31,6 +31,8 @@ _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 """Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
 now (2 to 50 ms, hundreds on an overloaded machine)."""
 _MARGIN_LATENCIES = 3.0
+_HEARD_S = 0.005
+"""A row that the old one sends in the last instant is heard within this time; without it, two rows could come at once."""
 _LATEST_S = 0.05
 _MOMENTS = 3
 """So many moments, each twice as far ahead as the one before, are proposed to a new one that answers too late."""
@@ -144,7 +146,7 @@ class WarmSwitch:
         try:
             # The old one is told only when the new one knows: one that dies now disturbs nobody.
             # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
-            bridged_ns = int(latency_s * 1e9) if self._check.has_rows() else 0
+            bridged_ns = self._bridged_ns(latency_s)
             moment_ns, due_s = self._agree(clients[1], standby, margin_s, bridged_ns)
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
@@ -154,6 +156,10 @@ class WarmSwitch:
         except BaseException as error:
             self._roll_back(clients, old, error)
             raise
+
+    def _bridged_ns(self, latency_s: float) -> int:
+        """How long after the moment the old one's rows are played, and the last of them is heard by the new one."""
+        return int((latency_s + _HEARD_S) * 1e9) if self._check.has_rows() else 0
 
     def _agree(self, new: ParameterClient, standby: Slot, margin_s: float, bridged_ns: int) -> tuple[int, float]:
         """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
