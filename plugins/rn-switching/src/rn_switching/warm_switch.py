@@ -32,7 +32,7 @@ _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 now (2 to 50 ms, hundreds on an overloaded machine)."""
 _MARGIN_LATENCIES = 3.0
 _HEARD_S = 0.005
-"""A row that the old one sends in the last instant is heard within this time; without it, two rows could come at once."""
+"""A row that the old one sends in the last instant is heard within this time; else two rows could come at once."""
 _LATEST_S = 0.05
 _MOMENTS = 3
 """So many moments, each twice as far ahead as the one before, are proposed to a new one that answers too late."""
