@@ -128,7 +128,8 @@ def look(cell: FciCell, ledger: Ledger, before: str) -> str:
             print(f"    fault: {fault}", flush=True)
         with contextlib.suppress(RuntimeError):
             cell.agent.do("recover_robot")
-    ledger.note("look", rate=float(detail.get("control_success_rate", 0.0)), stolen_s=stolen_s())
+    rate = float(detail.get("control_success_rate", 0.0))
+    ledger.note("look", rate=rate, stolen_s=stolen_s(), realtime=detail.get("realtime", ""))
     return fault
 
 
@@ -137,8 +138,7 @@ def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:
     dice = random.Random(seed + len(ledger.all("go")))
     cell.start_policy()
     left_s = 60.0 * minutes - ledger.done_s()
-    detail = cell.agent.modules()["robot"].get("detail") or {}
-    ledger.note("began", realtime=detail.get("realtime", ""))
+    ledger.note("began")
     end_s = time.monotonic() + left_s
     next_s, backend, fault = time.monotonic() + dice.uniform(*SWITCH_S), "sway", ""
     told_s = time.monotonic()
@@ -224,7 +224,7 @@ def report(ledger: Ledger) -> int:
         print("| nothing was measured | |")
         return 1
     loads = ", ".join(f"{row['load']:.1f}" for row in ledger.all("go"))
-    realtime = {row["realtime"] for row in ledger.all("began") if "realtime" in row}
+    realtime = {row["realtime"] for row in ledger.all("look")[-1:] if row.get("realtime")}
     print(
         f"| {ledger.done_s() / 60.0:.1f} minutes in {len(goes)} goes, load before each {loads} on {os.cpu_count()} "
         f"cores | {' / '.join(sorted(realtime)) or 'no word of the scheduling'} |"
