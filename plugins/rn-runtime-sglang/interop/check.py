@@ -18,6 +18,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -175,6 +176,8 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
     server = ManagedServer(managed, tiny.checkpoint.path, os.environ[KEY_VARIABLE])
     started_s = time.monotonic()
     url = server.start()
+    watching = threading.Thread(target=end_with, args=(server,), name="watching the server", daemon=True)
+    watching.start()
 
     def connect(model: PolicyModel, image_format: str) -> SglangRuntime:
         made = SglangRuntime(
@@ -200,6 +203,14 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
     finally:
         launched.close()
     return good
+
+
+def end_with(server: ManagedServer) -> None:
+    """End this process when the server ends by itself: nobody else would notice until the start's time-out."""
+    while not (failure := server.failure()):
+        time.sleep(0.5)
+    print(f"FAILED: {failure}", flush=True)
+    os._exit(1)
 
 
 def check_tiny(

@@ -13,6 +13,7 @@ pip() { "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$
 
 if command -v nvidia-smi >/dev/null 2>&1; then
   pip "sglang==0.5.23"
+  pip lazy-loader simplejpeg
 else
   # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
   pip torch==2.13.0

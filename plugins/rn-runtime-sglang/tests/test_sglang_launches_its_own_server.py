@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import importlib.metadata
+import json
 import os
 import signal
 import socket
@@ -11,12 +13,17 @@ from pathlib import Path
 
 import psutil
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
+from rn_runtime_sglang import process
 from rn_runtime_sglang.case import token_request
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_sglang.standin.site import write_site
 from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
+
+BROUGHT_BY_SGLANG = {"numpy", "pillow", "pydantic", "safetensors", "tokenizers", "torch", "transformers"}
 
 
 def managed(site: Path, **options: object) -> SglangRuntime:
@@ -74,6 +81,36 @@ def test_sglang_that_is_not_installed_is_named_with_the_command(tmp_path, model)
     (tmp_path / "empty").mkdir()
     with pytest.raises(MissingDependencyError, match=r"SGLang is not installed.*tried with 0\.5\.23"):
         managed(tmp_path / "empty").load(model)
+
+
+def test_what_the_served_half_lacks_is_named_with_the_command(site, model, monkeypatch):
+    monkeypatch.setattr(process, "NEEDED", ("not-installed-here",))
+    with pytest.raises(MissingDependencyError, match="not-installed-here must be installed") as caught:
+        managed(site).load(model)
+    assert "pip install not-installed-here; " in caught.value.hint
+
+
+def test_the_served_half_needs_nothing_that_nobody_installs():
+    """SGLang's environment holds what SGLang brings, and NEEDED; of our packages' requirements nothing else."""
+    own = "rn_runtime_sglang.served.fingerprint", "rn_runtime_sglang.served.configuration"
+    models = (
+        "rn_vla.openvla.checkpoint",
+        "rn_vla.openvla.front",
+        "rn_vla.openvla.preprocessing",
+        "rn_vla.openvla.prompt",
+    )
+    code = f"import {', '.join((*own, *models))}; import json, sys; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=True, text=True)
+    loaded = {name.partition(".")[0] for name in json.loads(done.stdout.splitlines()[-1])}
+    distributions = importlib.metadata.packages_distributions()
+    imported = {canonicalize_name(name) for top in loaded for name in distributions.get(top, ())}
+    required = {
+        canonicalize_name(Requirement(line).name)
+        for name in process.OURS
+        for line in importlib.metadata.requires(name) or ()
+        if "extra ==" not in line
+    }
+    assert imported & required - BROUGHT_BY_SGLANG == set(process.NEEDED)
 
 
 def test_another_release_is_named_with_the_supported_ones(tmp_path, model):

@@ -23,12 +23,16 @@ LAST_LINES = 15
 _STOP_S = 1.5
 """Between asking the server to end and ending its whole group."""
 _PROBE_S = 60.0
+OURS = ("rn-runtime-sglang", "rn-vla", "roboneuron-core")
+NEEDED = ("lazy-loader", "simplejpeg")
+"""What the served half of OURS imports and SGLang does not bring. OURS are installed without their requirements, which
+would bring ROS and MCP."""
 _PROBE = """
-import importlib.metadata as m, json
+import importlib.metadata as m, json, sys
 def v(name):
     try: return m.version(name)
     except m.PackageNotFoundError: return None
-print(json.dumps({n: v(n) for n in ("sglang", "rn-runtime-sglang", "rn-vla", "roboneuron-core")}))
+print(json.dumps({n: v(n) for n in sys.argv[1:]}))
 """
 
 
@@ -188,13 +192,17 @@ def free_port(wanted: int | None) -> int:
 
 
 def check_environment(python: Path, environment: dict[str, str]) -> None:
-    """Raise unless `python` runs and has a supported SGLang and this package."""
+    """Raise unless `python` runs and has a supported SGLang, this package and what it needs there."""
     first, end = (".".join(map(str, numbers)) for numbers in SUPPORTED)
     pip = f"{python} -m pip install"
     started_s = time.monotonic()
     try:
         done = subprocess.run(
-            [str(python), "-c", _PROBE], capture_output=True, env=environment, timeout=_PROBE_S, check=True
+            [str(python), "-c", _PROBE, "sglang", *OURS, *NEEDED],
+            capture_output=True,
+            env=environment,
+            timeout=_PROBE_S,
+            check=True,
         )
         found: dict[str, str | None] = json.loads(done.stdout)
     except OSError as error:
@@ -220,6 +228,6 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
     if absent:
         raise MissingDependencyError(
             f"{', '.join(absent)} must be installed for {python} too.",
-            hint=f"Run in RoboNeuron's source folder: {pip} --no-deps ./plugins/rn-runtime-sglang "
-            "./plugins/rn-vla ./roboneuron-core",
+            hint=f"Run in RoboNeuron's source folder: {pip} {' '.join(NEEDED)}; {pip} --no-deps "
+            "./plugins/rn-runtime-sglang ./plugins/rn-vla ./roboneuron-core",
         )
