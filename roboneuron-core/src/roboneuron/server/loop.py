@@ -29,12 +29,8 @@ _PARAMETER_S = 5.0
 _KEPT_ACTIONS = 4096
 
 
-def ignore_stage(_: str) -> None:
-    """No listener for the stages of a start."""
-
-
 class ActionStream:
-    """Listens to `/<namespace>/action` until it is closed.
+    """Listens to `/<namespace>/action` for as long as the link is open.
 
     Times are DDS source times [ns]: when the inference process sent the action, whatever the way to here took.
     """
@@ -54,29 +50,12 @@ class ActionStream:
 
         topic = f"/{namespace}/{ACTION}"
         # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
-        subscription = link.on_executor(
-            lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
-        )
-        self._end: Callable[[], object] = lambda: link.on_executor(lambda: link.node.destroy_subscription(subscription))
+        link.on_executor(lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS))
 
-    def close(self) -> None:
-        """Stop listening."""
-        self._end()
-
-    def since(self, moment_ns: int) -> list[tuple[float, ...]]:
-        """Values of the actions sent at or after a moment."""
-        with self._lock:
-            return [values for sent_ns, values in self._actions if sent_ns >= moment_ns]
-
-    def newest(self, most: int) -> list[tuple[int, tuple[float, ...]]]:
+    def actions(self) -> list[tuple[int, tuple[float, ...]]]:
         """The newest actions: source time [ns] and values, oldest first."""
         with self._lock:
-            return list(self._actions)[-most:]
-
-    def sent_ns(self) -> list[int]:
-        """When the actions that are kept were sent [ns], oldest first."""
-        with self._lock:
-            return [at for at, _ in self._actions]
+            return list(self._actions)
 
 
 class ClosedLoop:
@@ -95,11 +74,8 @@ class ClosedLoop:
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
         choice = self.supervisor.view("robot").choice
-        return self.base if choice is None else choice.settings.config.model_copy(update=self._base_sections())
-
-    def robot_spec(self) -> RobotSpec:
-        """Descriptor of the present robot."""
-        return self.plugins.current().get(RobotSpec, self.config.robot.name)
+        others = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
+        return self.base if choice is None else choice.settings.config.model_copy(update=others)
 
     def camera_roles(self) -> dict[str, str]:
         """Camera name -> role of the present robot; empty when its plugin is gone."""
@@ -132,7 +108,11 @@ class ClosedLoop:
             self._check_not_latched()
 
     def start(
-        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = ignore_stage, role: str = ""
+        self,
+        kind: ModuleKind,
+        request: Arguments | None = None,
+        on_stage: Stage = lambda stage: None,
+        role: str = "",
     ) -> ModuleView:
         """Start a module for a client with `role`; as configured when there is no request.
 
@@ -166,7 +146,7 @@ class ClosedLoop:
         """The newest actions on the present robot's action topic: source time [ns] and values; for the records."""
         with self._lock:
             stream = self._streams.get(self.config.namespace)
-        return [{"sent_ns": at, "values": list(values)} for at, values in stream.newest(most)] if stream else []
+        return [{"sent_ns": at, "values": list(values)} for at, values in stream.actions()[-most:]] if stream else []
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
@@ -237,10 +217,3 @@ class ClosedLoop:
                 f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would move.",
                 hint="A person releases it: see reset_emergency_stop.",
             )
-
-    def _base_sections(self) -> dict[str, Any]:
-        return {
-            "perception": self.base.perception,
-            "inference": self.base.inference,
-            "control": self.base.control,
-        }
