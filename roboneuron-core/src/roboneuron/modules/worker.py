@@ -28,12 +28,7 @@ class Worker:
     """
 
     def __init__(
-        self,
-        name: str,
-        step: Callable[[threading.Event], None],
-        status: ModuleStatus,
-        *,
-        limit_s: float = LIMIT_S,
+        self, name: str, step: Callable[[threading.Event], None], status: ModuleStatus, *, limit_s: float = LIMIT_S
     ) -> None:
         self._name = name
         self._step = step

@@ -108,11 +108,7 @@ class ClosedLoop:
             self._check_not_latched()
 
     def start(
-        self,
-        kind: ModuleKind,
-        request: Arguments | None = None,
-        on_stage: Stage = lambda stage: None,
-        role: str = "",
+        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = lambda stage: None, role: str = ""
     ) -> ModuleView:
         """Start a module for a client with `role`; as configured when there is no request.
 

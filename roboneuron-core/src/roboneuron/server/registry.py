@@ -234,7 +234,5 @@ def failure(error: RoboNeuronError) -> types.CallToolResult:
     if isinstance(error, InvalidInputError) and error.path:
         details["path"] = error.path[:_MOST_TEXT]
     return types.CallToolResult(
-        content=[types.TextContent(type="text", text=_clipped(str(error)))],
-        _meta={ERROR_META: details},
-        is_error=True,
+        content=[types.TextContent(type="text", text=_clipped(str(error)))], _meta={ERROR_META: details}, is_error=True
     )
