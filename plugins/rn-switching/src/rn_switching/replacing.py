@@ -13,8 +13,7 @@ from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.server.compatibility import running_selection
-from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.loop import ClosedLoop, running_selection
 from roboneuron.server.module_kinds import KINDS, StartInference, StartPerception
 from roboneuron.server.selection import Selection
 from roboneuron.server.tool import Arguments
