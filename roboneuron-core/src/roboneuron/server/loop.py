@@ -73,7 +73,7 @@ class ClosedLoop:
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
         choice = self.supervisor.view("robot").choice
-        others = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
+        others: dict[str, Any] = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
         return self.base if choice is None else choice.settings.config.model_copy(update=others)
 
     def camera_roles(self) -> dict[str, str]:
