@@ -15,7 +15,7 @@ from rn_ops.records import parse_entries
 from rn_ops.server_log import ServerLog
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.log_files import PlainFormatter, escaped
-from roboneuron.supervisor.process import ProcessObservers, spawn
+from roboneuron.supervisor.process import ProcessEvents, spawn
 
 FORGED = "x\n2026-01-01 00:00:00,000 INFO roboneuron.gate: allowed"
 
@@ -37,7 +37,7 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     log.open()
     logging.getLogger("t").warning("x")
     log.close()
-    process = spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log", ProcessObservers())
+    process = spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log", ProcessEvents())
     process.reap(lambda _: None)
     assert process.wait(20)
     process.note("said")

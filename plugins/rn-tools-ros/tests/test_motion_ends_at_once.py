@@ -173,7 +173,7 @@ def test_an_audit_that_cannot_be_written_ends_motion(application: Application, a
         async with anyio.create_task_group() as group:
             group.start_soon(drive)
             await moving(rover)
-            application.gate.audit._failed = True
+            application.gate.audit.failed = True
             await standing(rover, time.monotonic())
 
     ask(scenario)

@@ -17,6 +17,7 @@ from roboneuron.contract import (
     JointCommand,
     JointLimits,
     JointSample,
+    Obstacle,
     Pose,
     Posture,
     Proximity,
@@ -25,7 +26,7 @@ from roboneuron.contract import (
 )
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import ConfigurationError, UnsafeError
-from roboneuron.gate.motion import LIMITS, MotionLimiter, MotionRules, Verdict, Zone, motion_rules
+from roboneuron.gate.motion import LIMITS, MotionLimiter, MotionRules, Verdict, motion_rules
 from roboneuron.gate.motion.joint_space import braking_velocity, joint_limits
 
 NAMES = ("a", "b")
@@ -117,7 +118,7 @@ CASES = {
     "zone": (
         MotionRules(
             reactions=HOLD,
-            zones=(Zone(name="vase", lower_m=place(START) - [0.02, 1, 1], upper_m=place(START) - [0.01, -1, -1]),),
+            zones=(Obstacle(name="vase", lower_m=place(START) - [0.02, 1, 1], upper_m=place(START) - [0.01, -1, -1]),),
         ),
         START,
         np.array([0.03, 0.0]),
@@ -224,7 +225,7 @@ def test_shortening_the_arm_leaves_the_gripper_alone_and_the_order_of_names() ->
 
 def test_way_through_a_thin_zone_is_seen() -> None:
     tcp = place(START)
-    zone = Zone(name="pane", lower_m=tcp - [0.0102, 1, 1], upper_m=tcp - [0.01, -1, -1])
+    zone = Obstacle(name="pane", lower_m=tcp - [0.0102, 1, 1], upper_m=tcp - [0.01, -1, -1])
     verdict = limiter(MotionRules(reactions=HOLD, zones=(zone,))).limit(
         command(START + np.array([0.03, 0.0])), sample(START), 1.0
     )
@@ -286,7 +287,7 @@ RULES = MotionRules(
     lower_m=np.array([0.1, -1.0, -0.2]),
     upper_m=np.array([0.9, 1.0, 0.9]),
     min_height_m=0.1,
-    zones=(Zone(name="vase", lower_m=np.array([0.3, -1, 0.3]), upper_m=np.array([0.45, 1, 0.45])),),
+    zones=(Obstacle(name="vase", lower_m=np.array([0.3, -1, 0.3]), upper_m=np.array([0.45, 1, 0.45])),),
     min_singular_value=0.1,
 )
 

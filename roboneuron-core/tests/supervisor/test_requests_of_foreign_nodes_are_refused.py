@@ -14,7 +14,7 @@ from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
 from roboneuron.supervisor.lifecycle import ParameterClient
-from roboneuron.supervisor.process import ProcessObservers, spawn
+from roboneuron.supervisor.process import ProcessEvents, spawn
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -54,7 +54,7 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
 def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
     """The pipe of a process that hangs is full at some time: what is lost there would make a request a foreign one."""
     log = tmp_path / "log" / "hangs.log"
-    process = spawn("hangs", ["sleep", "60"], os.environ, "", log, ProcessObservers())
+    process = spawn("hangs", ["sleep", "60"], os.environ, "", log, ProcessEvents())
     process.reap(lambda ended: None)
 
     def announce_on() -> None:
@@ -73,7 +73,7 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
 
 def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> None:
     """Whoever reaps it besides takes its end away: it would count as running for ever."""
-    process = spawn("ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessObservers())
+    process = spawn("ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessEvents())
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     process.terminate()
     process.kill()

@@ -31,7 +31,10 @@ class SharedMemoryRepair(Feature[None]):
         self._record = SegmentRecord(directory / RECORD_NAME)
         self._record.add(owned_segments(os.getpid()))
         self._cleaner = ProcessCleaner(self._record)
-        host.supervisor.observers.add(self._cleaner)
+        events = host.supervisor.process_events
+        events.spawning.listen(self._cleaner.spawning)
+        events.seen.listen(self._cleaner.observe)
+        events.ended.listen(self._cleaner.ended)
         self._ports = PortWatch()
         self._ports.start()
 

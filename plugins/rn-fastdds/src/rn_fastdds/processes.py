@@ -16,7 +16,7 @@ _RECENT = 10
 
 
 class ProcessCleaner:
-    """An observer of module processes (see `roboneuron.supervisor.process`); callable from any thread.
+    """A listener of `roboneuron.supervisor.process.ProcessEvents`; callable from any thread.
 
     Args:
         record: names what is owned, for the next server if this one is killed.

@@ -104,14 +104,12 @@ class Recorder(Feature[RecorderOptions]):
                 return
 
     def _make(self) -> RecorderProcess:
-        observers = self._host.supervisor.observers
-        return RecorderProcess(
-            self._spawn, lambda pid: observers.tell(lambda observer: observer.ended(pid, "recorder"))
-        )
+        ended = self._host.supervisor.process_events.ended
+        return RecorderProcess(self._spawn, lambda pid: ended.tell(pid, "recorder"))
 
     def _spawn(self, start: int, resume: str, name: str) -> subprocess.Popen[bytes]:
         supervisor, options = self._host.supervisor, self.options
-        supervisor.observers.tell(lambda observer: observer.spawning())
+        supervisor.process_events.spawning.tell()
         config = self._host.config
         self._namespace = config.namespace
         settings = RecorderSettings(

@@ -15,6 +15,11 @@ def local_client(client: str) -> Holder:
     return Holder(who=f"{LOCAL_PROCESS.who} {client}".rstrip(), role=LOCAL_PROCESS.role, client=client)
 
 
+def account_of(holder: Holder) -> str:
+    """Whose share of connections and sessions a client uses: the token's, or that of all clients without one."""
+    return LOCAL_PROCESS.who if holder.client else holder.who
+
+
 def has_left(who: str) -> bool:
     """Whether that client was a process of this machine that is gone."""
     found = _PROCESS.search(who) if is_local(who) else None

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_serve_http.connection_loss import Connection
 from rn_serve_http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
-from rn_serve_http.local_clients import local_client
+from rn_serve_http.local_clients import account_of, local_client
 from rn_serve_http.origins import HostRules
 from rn_serve_http.peers import peer_process
 from rn_serve_http.sessions import SESSION_HEADER
@@ -75,15 +75,15 @@ class AccessMiddleware:
             log.warning("Refused a request without a valid token.")
             await _unauthorized()(scope, receive, send)
             return
-        if isinstance(transport, BoundedProtocol) and not self._connections.prove(transport, holder.account):
+        if isinstance(transport, BoundedProtocol) and not self._connections.prove(transport, account_of(holder)):
             is_stop, receive = await _look_for_stop(receive)
             if not is_stop:
-                log.warning("Refused a request of %r: it has too many connections.", holder.account)
+                log.warning("Refused a request of %r: it has too many connections.", account_of(holder))
                 await _too_many(holder)(scope, receive, send)
                 return
-            self._connections.prove(transport, holder.account, is_stop=True)
+            self._connections.prove(transport, account_of(holder), is_stop=True)
         # The SDK binds a session to this user: a session of one token cannot be used with another.
-        user = AuthenticatedUser(AccessToken(token="", client_id=holder.account, scopes=[holder.role]))
+        user = AuthenticatedUser(AccessToken(token="", client_id=account_of(holder), scopes=[holder.role]))
         connection = Connection(receive)
         inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
         with self._present(holder.who):
@@ -160,7 +160,7 @@ async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
 
 
 def _too_many(holder: Holder) -> JSONResponse:
-    text = f"{holder.account!r} has too many connections; emergency_stop is still taken."
+    text = f"{account_of(holder)!r} has too many connections; emergency_stop is still taken."
     return JSONResponse(
         {"jsonrpc": "2.0", "id": None, "error": {"code": BUSY, "message": text}},
         status_code=503,

@@ -15,6 +15,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rn_serve_http.local_clients import account_of
 from roboneuron.server.access import HOLDER_KEY, Holder
 from roboneuron.server.envelope import BUSY, EnvelopeError, check_id, repeated
 
@@ -98,7 +99,7 @@ class Sessions:
         name = Headers(scope=scope).get(SESSION_HEADER)
         session = self._sessions.get(name) if name is not None else None
         request = None
-        if session is not None and session.holder == holder.account and request_id is not None:
+        if session is not None and session.holder == account_of(holder) and request_id is not None:
             request = _begin(session, request_id)
             scope = {**scope, _REQUEST_KEY: request}
         is_answered = False
@@ -106,13 +107,13 @@ class Sessions:
         async def watch(message: Message) -> None:
             nonlocal is_answered
             if message["type"] == "http.response.start":
-                self._note(scope["method"], name, message, holder.account)
+                self._note(scope["method"], name, message, account_of(holder))
             elif not message.get("more_body", False):
                 is_answered = True
             await send(message)
 
         if name is None and request_id is not None:
-            self._check_share(scope, holder.account)
+            self._check_share(scope, account_of(holder))
         if session is not None:
             session.open += 1
         try:

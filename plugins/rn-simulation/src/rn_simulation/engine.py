@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
-from roboneuron import Requirement
-from roboneuron.plugins import availability
+from roboneuron import ConfigurationError, Requirement
+from roboneuron.plugins.availability import explain, present
 
 Engine = Literal["pybullet", "mujoco"]
 """An engine by the name of its package."""
@@ -18,5 +18,16 @@ REQUIREMENT = Requirement(module="pybullet", alternatives=("mujoco",), install="
 
 
 def choose_engine(choice: EngineChoice) -> Engine:
-    """The engine to use. Raises ConfigurationError when `choice`, or for "auto" each of them, is not installed."""
-    return cast(Engine, availability.choose(REQUIREMENT, choice))
+    """The engine to use: `choice`, or for "auto" the first that is installed.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
+    found = present(REQUIREMENT)
+    if choice == "auto" and found:
+        return cast(Engine, found[0])
+    if choice in found:
+        return cast(Engine, choice)
+    wanted = REQUIREMENT if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
+    hint = f"Or leave the choice to 'auto': {' and '.join(found)} is installed." if found else ""
+    raise ConfigurationError(f"{explain([wanted])}.", hint=hint)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from rn_switching.shadow_controller import ControllerComparison
 from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL
 from roboneuron.contract import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
-from roboneuron.modules.handover import Handover
+from roboneuron.modules.module_host import Handover
 from roboneuron.modules.status import ModuleStatus
 
 _SETTLE_S = 5.0

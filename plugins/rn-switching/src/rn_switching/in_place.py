@@ -117,7 +117,9 @@ class AccelerationSwitch:
             return None
         stream = self._loop.stream(self._selection.config.namespace)
         changed_ns = int(report.metrics["acceleration_changed_ns"])
-        return self._supervisor.changes.wait_for(lambda: action_gap(stream.sent_ns(), changed_ns), ARRIVAL_S)
+        return self._supervisor.changes.wait_for(
+            lambda: action_gap([at for at, _ in stream.actions()], changed_ns), ARRIVAL_S
+        )
 
 
 def _answers(report: Report) -> int:

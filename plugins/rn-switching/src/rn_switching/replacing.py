@@ -13,8 +13,7 @@ from rn_switching.switch_checks import CHECKS, SwitchCheck
 from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
-from roboneuron.server.compatibility import running_selection
-from roboneuron.server.loop import ClosedLoop, ignore_stage
+from roboneuron.server.loop import ClosedLoop, running_selection
 from roboneuron.server.module_kinds import KINDS, StartInference, StartPerception
 from roboneuron.server.selection import Selection
 from roboneuron.server.tool import Arguments
@@ -66,7 +65,7 @@ class Switching:
         kind: ModuleKind,
         request: Arguments,
         mode: SwitchMode = "warm",
-        on_stage: Stage = ignore_stage,
+        on_stage: Stage = lambda stage: None,
         role: str = "",
     ) -> Switched:
         """Replace the running module of a kind, on the same topics.
@@ -85,7 +84,7 @@ class Switching:
             check_same_commands(old, selection)
         return self._replace(old, selection, mode, on_stage)
 
-    def roll_back(self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = ignore_stage) -> Switched:
+    def roll_back(self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None) -> Switched:
         """Go back to what ran before the last switch; a backend keeps the present instruction.
 
         Raises:

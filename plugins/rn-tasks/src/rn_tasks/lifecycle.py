@@ -10,10 +10,10 @@ from pydantic import Field
 from rn_tasks.starting import ParallelStart, requests_for
 from roboneuron.config.models import ModelConfig
 from roboneuron.errors import RoboNeuronError
-from roboneuron.modules.settings import ModuleKind
+from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.host import Host
-from roboneuron.server.module_kinds import MAX_INSTRUCTION_LENGTH, StartInference
+from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.results import ModuleSummary, module_summary
 from roboneuron.server.selection import select
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool

@@ -21,8 +21,8 @@ from rn_tasks.snapshot import Snapshot
 from roboneuron import RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.plugin import build
+from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH
 from roboneuron.server.host import Host
-from roboneuron.server.module_kinds import MAX_INSTRUCTION_LENGTH
 from roboneuron.server.selection import check_instruction
 from roboneuron.server.tool import Arguments, CallContext, Reply, Result, Stage, Tool
 

@@ -9,7 +9,7 @@ import numpy as np
 from rn_testing.kinematics import place_tcp
 from rn_testing.rule import Violation, require
 from roboneuron.contract import Action, JointCommand, JointSample, Pose, RobotProfile, apply_delta
-from roboneuron.contract.motion import F64
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3

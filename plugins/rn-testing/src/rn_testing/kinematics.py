@@ -10,7 +10,7 @@ import numpy as np
 
 from rn_testing.rule import Violation
 from roboneuron.contract import Pose, RobotProfile
-from roboneuron.contract.motion import F64
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 
 MOVABLE = ("revolute", "continuous", "prismatic")

@@ -16,7 +16,7 @@ from pydantic import Field
 from rn_tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
 from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
-from rn_tools_arm.prediction import PredictedArm
+from rn_tools_arm.prediction import PredictedArm, control_of
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Action, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.gate import GateRequest
@@ -178,7 +178,7 @@ class EndEffectorMover:
             raise RefusedError("The joints are not measured, so that the path cannot be judged.")
         gripper = self._opening() if order.gripper_open is None else order.gripper_open
         steps = count()
-        with closing(PredictedArm(*self._gate.control_of(self._exposed), joints)) as arm:
+        with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
 
             def note() -> str:
                 return f"holding: {arm.held}" if arm.held else "limits shorten its steps"

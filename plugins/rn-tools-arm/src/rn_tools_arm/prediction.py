@@ -3,7 +3,31 @@
 from __future__ import annotations
 
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, Pose
-from roboneuron.gate.motion import MotionLimiter
+from roboneuron.gate.motion import MotionLimiter, inspector_of
+from roboneuron.server.host import Host
+from roboneuron.server.motion.allow_list import ArmPaths
+from roboneuron.server.motion.exposed import Exposed
+
+
+def control_of(host: Host, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
+    """Controller and limits as control has them, for one user, who closes the controller.
+
+    Raises:
+        ConfigurationError, MissingDependencyError, PluginError: there is no controller for the arm of that endpoint.
+    """
+    assert exposed.profile is not None
+    config = host.loop.base
+    paths = ArmPaths(config, lambda: host.registry)
+    controller, profile = paths.load(exposed.robot, exposed.profile)
+    limiter = MotionLimiter(
+        paths.rules(exposed.robot, profile),
+        profile,
+        controller.forward,
+        inspector_of(controller),
+        immediate=config.control is not None and config.control.command == "joint_state",
+        longest_s=config.robot.server_timeout_s,
+    )
+    return controller, limiter
 
 
 class PredictedArm:

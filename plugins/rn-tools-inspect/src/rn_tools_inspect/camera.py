@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from roboneuron import Arguments, CallContext, Host, Picture, Reply, Result, Tool
+from roboneuron import Arguments, CallContext, Host, Picture, Reply, Result, RobotSpec, Tool
 from roboneuron.contract import Frame, frame_from_buffer
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError
 from roboneuron.supervisor.changes import Changes
@@ -127,7 +127,7 @@ def encode(frame: Frame, form: Format) -> Picture:
 
 def check_camera(host: Host, camera: str) -> None:
     """Raises InvalidInputError, with the choices, when the robot has no such camera."""
-    spec = host.loop.robot_spec()
+    spec = host.registry.get(RobotSpec, host.config.robot.name)
     known = [camera.name for camera in spec.cameras]
     if camera not in known:
         raise InvalidInputError(

@@ -24,8 +24,6 @@ from roboneuron.plugins.registry import Registry
 
 EXIT_OK = 0
 """It is as asked."""
-EXIT_FAILED = 1
-"""The command ran and its answer is no (a check failed, a plugin is not ready)."""
 
 
 def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
@@ -40,7 +38,6 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
         description="Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots and VLA models.",
         epilog=f"commands:\n{table}\n\n`roboneuron COMMAND --help` explains one of them.",
         formatter_class=RawDescriptionHelpFormatter,
-        add_help=True,
     )
     parser.add_argument("--version", action="version", version=f"roboneuron {__version__}")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help=SUPPRESS)

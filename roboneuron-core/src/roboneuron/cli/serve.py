@@ -68,21 +68,18 @@ def run(arguments: Namespace) -> int:
 
 
 def divert_standard_streams() -> tuple[int, int]:
-    """Move stdin and stdout to private descriptors, not inherited by children; call it once, first of all.
+    """Move stdin and stdout to private descriptors, which children do not inherit (PEP 446); call it first of all.
 
     Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child processes and C++
     libraries, and before anything is imported that might print.
     """
-    wire_in = os.dup(0)
-    wire_out = os.dup(1)
-    os.set_inheritable(wire_in, False)
-    os.set_inheritable(wire_out, False)
+    wire = os.dup(0), os.dup(1)
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
     os.close(null)
     os.dup2(2, 1)
     sys.stdout = sys.stderr
-    return wire_in, wire_out
+    return wire
 
 
 @contextmanager

@@ -11,14 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from roboneuron.contract.arrays import freeze
+from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import Pose
 from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import InvalidInputError, UnsafeError
-
-F64 = NDArray[np.float64]
 
 ACTION_LABEL = "ee_delta_base"
 """`layout.dim[0].label` of the action message."""

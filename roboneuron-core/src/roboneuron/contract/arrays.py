@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+F64 = NDArray[np.float64]
+
 
 def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> None:
     """Replace the named array fields of a frozen dataclass by read-only copies; called from `__post_init__`.

@@ -27,26 +27,14 @@ def check_rgb8(image: NDArray[Any]) -> U8:
     return image
 
 
-def _drop_alpha(pixels: U8) -> U8:
-    return pixels[:, :, :3]
-
-
-def _swap_red_blue(pixels: U8) -> U8:
-    return pixels[:, :, 2::-1]
-
-
-def _repeat_grey(pixels: U8) -> U8:
-    return np.repeat(pixels, 3, axis=2)
-
-
 _ENCODINGS: dict[str, tuple[int, Callable[[U8], U8] | None]] = {
     "rgb8": (3, None),
-    "bgr8": (3, _swap_red_blue),
-    "rgba8": (4, _drop_alpha),
-    "bgra8": (4, _swap_red_blue),
-    "mono8": (1, _repeat_grey),
+    "bgr8": (3, lambda pixels: pixels[:, :, ::-1]),
+    "rgba8": (4, lambda pixels: pixels[:, :, :3]),
+    "bgra8": (4, lambda pixels: pixels[:, :, 2::-1]),
+    "mono8": (1, lambda pixels: np.repeat(pixels, 3, axis=2)),
 }
-
+"""Channels, and how they become RGB."""
 READABLE_ENCODINGS = tuple(_ENCODINGS)
 """Encodings `frame_from_buffer` converts to RGB; the contract itself publishes `rgb8` only."""
 

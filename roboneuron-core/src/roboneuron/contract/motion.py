@@ -8,13 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-from roboneuron.contract.arrays import freeze
+from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import JointSample, Pose
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract.arrays import freeze, read_only_view
+from roboneuron.contract.arrays import F64, freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
 from roboneuron.errors import InvalidInputError
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -12,13 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from roboneuron.contract.arrays import freeze
+from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import RefusedError
-
-F64 = NDArray[np.float64]
 
 ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 """Distance from its target at which a revolute and a prismatic joint count as there."""

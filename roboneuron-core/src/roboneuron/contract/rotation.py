@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from roboneuron.contract.arrays import F64
+
 _SMALL_ANGLE_RAD = 1e-8
 
 

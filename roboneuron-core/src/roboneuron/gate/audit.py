@@ -71,12 +71,8 @@ class AuditLog:
         self._lock = threading.Lock()
         self._descriptor = -1
         self._torn = False
-        self._failed = False
-
-    @property
-    def failed(self) -> bool:
+        self.failed = False
         """Whether writing the last record failed; a motion in progress has to end then."""
-        return self._failed
 
     def write(self, record: AuditRecord) -> None:
         """Append a record: handed to the operating system when this returns, not necessarily synced to the disk.
@@ -89,13 +85,13 @@ class AuditLog:
             try:
                 self._append(line)
             except OSError as error:
-                self._failed = True
+                self.failed = True
                 self._close()
                 raise RefusedError(
                     f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing moves without it.",
                     hint="Free disk space or mend the permissions of the state directory.",
                 ) from error
-            self._failed = False
+            self.failed = False
         self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:

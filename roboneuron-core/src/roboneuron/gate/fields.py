@@ -121,24 +121,22 @@ def read_number(message: Any, path: str) -> float:
     return float(functools.reduce(getattr, path.split("."), message))
 
 
-def find_outside(message: Any, path: str, low: float, high: float) -> Iterator[Place]:
+def find_outside(message: Any, path: str, low: float, high: float, prefix: str = "") -> Iterator[Place]:
     """Yield every number outside of low .. high (NaN included) that `path`, written without indices, leads to.
+
+    `prefix` is the path of `message` itself.
 
     Raises:
         AttributeError: there is no such field; `check_endpoint` finds that when the configuration is read.
     """
-    yield from _find(message, path, "", low, high)
-
-
-def _find(message: Any, path: str, prefix: str, low: float, high: float) -> Iterator[Place]:
     head, _, rest = path.partition(".")
     value = getattr(message, head)
     here = f"{prefix}.{head}" if prefix else head
     if rest and is_message(value):
-        yield from _find(value, rest, here, low, high)
+        yield from find_outside(value, rest, low, high, here)
     elif rest:
         for index, item in enumerate(value):
-            yield from _find(item, rest, f"{here}[{index}]", low, high)
+            yield from find_outside(item, rest, low, high, f"{here}[{index}]")
     elif isinstance(value, list | tuple | array | np.ndarray):
         numbers = np.asarray(value)
         for index in np.flatnonzero(~((numbers >= low) & (numbers <= high))).tolist():

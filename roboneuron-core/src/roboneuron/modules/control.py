@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import collision_of
+from roboneuron.gate.motion.command import pick
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import MotionGuard
@@ -255,10 +256,9 @@ class ControlModule(Module):
 
     def _command_hold(self, joints: JointSample) -> None:
         self._hold_is_due = False
-        index = [joints.names.index(name) for name in self._profile.arm_joints]
-        self._send(
-            JointCommand(names=self._profile.arm_joints, position=joints.position[index], duration_s=HOLD_DURATION_S)
-        )
+        arm = self._profile.arm_joints
+        position = pick(joints.names, joints.position, arm)
+        self._send(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
         self._guard.rest(joints, time.monotonic())
 
     def _send(self, command: JointCommand) -> None:

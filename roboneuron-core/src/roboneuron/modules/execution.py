@@ -12,16 +12,13 @@ import threading
 import time
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from roboneuron.contract import ActionChunk, Observation
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.modules.row_queue import Outcome, Row, RowQueue
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.specs import BackendSpec
 
-F64 = NDArray[np.float64]
 _PACE = 0.8
 """The next image may be taken after this share of a step since the last row went out: the arm has then carried out most
 of it."""
@@ -74,6 +71,7 @@ class ChunkExecutor:
 
     Attributes:
         changed: held while anything is decided; notified when rows arrive or are sent, and when an epoch begins.
+        heard_s: monotonic time of the newest row that the predecessor of a handover sent [s].
     """
 
     def __init__(self, bounds: Bounds, queue: RowQueue | None = None) -> None:
@@ -81,7 +79,7 @@ class ChunkExecutor:
         self._queue = queue if queue is not None else RowQueue()
         self._step_s: float | None = None
         self._due_s = 0.0
-        self._heard_s = -math.inf
+        self.heard_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
     # -- who predicts
@@ -149,7 +147,7 @@ class ChunkExecutor:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:
             row = self._queue.next
-            return None if row is None else max(self._due_s, self._heard_s + row.step_s)
+            return None if row is None else max(self._due_s, self.heard_s + row.step_s)
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.
@@ -185,7 +183,7 @@ class ChunkExecutor:
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
         """Count a row that the predecessor of a handover sent; the next row is due a period after it."""
         with self.changed:
-            self._heard_s = now_s
+            self.heard_s = now_s
             self._queue.note_sent(vector, now_ns)
 
     # -- what interrupts

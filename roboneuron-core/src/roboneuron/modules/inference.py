@@ -206,7 +206,8 @@ class InferenceModule(Module):
             outcome = self._executor.answer(prediction, chunk, now_ns)
             if outcome != "accepted":
                 self.status.dropped.add(f"{outcome}_chunk")
-        self._report()
+        for name, value in self._executor.values().items():  # how chunks are executed, and the numbers that decided
+            self.status.set_value(f"execution.{name}", value)
 
     def _observe(self) -> Observation | None:
         """The newest observation, without its instruction; None when there is none to act on now."""
@@ -280,11 +281,6 @@ class InferenceModule(Module):
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()
-
-    def _report(self) -> None:
-        """Tell how chunks are executed, and the numbers that decided."""
-        for name, value in self._executor.values().items():
-            self.status.set_value(f"execution.{name}", value)
 
 
 def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:

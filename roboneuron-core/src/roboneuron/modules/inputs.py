@@ -198,10 +198,6 @@ class NewestInputs:
         """Capture time of the first role's image: the one that paces the loop, the same for every backend."""
         return observation.frames[self._leading].stamp_ns
 
-    def age_s(self, observation: Observation) -> float:
-        """Time since the oldest image of the observation was captured, by the clock of stamps."""
-        return (self._now_ns() - observation.stamp_ns) / 1e9
-
     def silence_s(self) -> float:
         """Seconds since the last observation was handed out."""
         return time.monotonic() - self._usable_s

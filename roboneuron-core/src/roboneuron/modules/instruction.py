@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.module import ModuleNode
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER
-
-MAX_INSTRUCTION_LENGTH = 1000
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MAX_INSTRUCTION_LENGTH
 
 
 class Instruction:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, RobotProfile
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
-
-F64 = NDArray[np.float64]
+from roboneuron.gate.motion.command import pick
 
 _SLACK, _SLACK_M = 0.05, 0.01
 """What noise and a late message may add to the way between two states [rad; m of slides]."""
@@ -36,7 +35,6 @@ class JointWatch:
         self._slack = np.array([_SLACK_M if name in slides else _SLACK for name in profile.arm_joints])
         self._timeout_s = timeout_s
         self._at_s = 0.0
-        self._order: tuple[tuple[str, ...], list[int]] = ((), [])
 
     def age_s(self, now_s: float) -> float:
         """Monotonic time since the newest state was accepted; infinite without one."""
@@ -64,7 +62,9 @@ class JointWatch:
                 f"{self._timeout_s:g} s are allowed.",
                 hint="Is the robot's driver stuck, or are the clocks of two machines apart?",
             )
-        position = self._arm(joints)
+        if not np.isfinite(joints.position).all():
+            raise UnsafeError("A joint state holds non-finite positions.")
+        position = pick(joints.names, joints.position, self._names)
         if self.joints is not None and self.age_s(now_s) <= self._timeout_s:
             if joints.stamp_ns < self.joints.stamp_ns:
                 raise InvalidInputError("A joint state is older than the one before.")
@@ -73,21 +73,6 @@ class JointWatch:
             self._check_way(position, now_s)
         self.joints, self._position, self._at_s = joints, position, now_s
         return True
-
-    def _arm(self, joints: JointSample) -> F64:
-        names, index = self._order
-        if names != joints.names:
-            missing = [name for name in self._names if name not in joints.names]
-            if missing:
-                raise UnsafeError(
-                    f"A joint state lacks {', '.join(missing)} of the arm; it names {list(joints.names)}."
-                )
-            index = [joints.names.index(name) for name in self._names]
-            self._order = (joints.names, index)
-        if not np.isfinite(joints.position).all():
-            raise UnsafeError("A joint state holds non-finite positions.")
-        position: F64 = joints.position[index]
-        return position
 
     def _check_way(self, position: F64, now_s: float) -> None:
         if self._velocity is None:

@@ -17,11 +17,10 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, T
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
-from roboneuron.errors import ConfigurationError, InternalError, RoboNeuronError, StateError, UnsafeError
+from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
 from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
-from roboneuron.modules.handover import Handover
-from roboneuron.modules.module_host import add_parameter, join
+from roboneuron.modules.module_host import Handover, add_parameter, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
@@ -177,7 +176,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def report_unexpected(self, error: Exception) -> None:
         """A callback raised what nobody expected: log it and say so; the module goes on."""
         log.error("a callback failed", exc_info=error)
-        self.status.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
+        self.status.set_unexpected(error)
 
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped."""
@@ -229,15 +228,14 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             step()
         except RoboNeuronError as error:
             log.error("%s: %s", then, error)
-            failure = error
+            self.status.set_error(error)
         except Exception as error:  # the module border: whatever a plugin raises must not end the process silently
             log.exception("unexpected failure")
-            failure = InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
+            self.status.set_unexpected(error)
         else:
             self.status.clear_error()
             self.status.set_state(then)
             return TransitionCallbackReturn.SUCCESS
-        self.status.set_error(failure)
         self.status.set_state(otherwise)
         self._reporter.publish()
         return TransitionCallbackReturn.FAILURE

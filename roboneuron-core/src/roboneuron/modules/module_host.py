@@ -1,4 +1,4 @@
-"""What a module process lends to features, and how they join it."""
+"""What a module process lends to features, how they join it, and what they may answer in its place."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from roboneuron.contract import ActionChunk, Hold, JointCommand, Pose
 from roboneuron.modules.execution import Bounds, ChunkExecutor
-from roboneuron.modules.handover import Handover
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import ModuleStatus
 from roboneuron.plugins.loading import load_attribute
@@ -22,6 +22,55 @@ if TYPE_CHECKING:
     from roboneuron.modules.module import Module
 
 log = logging.getLogger(__name__)
+
+
+class Handover:
+    """What a module asks about its inputs; the answers here are those of a module that nobody replaces.
+
+    A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart by their time stamps
+    [ROS time, ns]: capture times of images, times at which actions were sent and joints measured. Methods are called
+    from any of the module's threads.
+
+    Attributes:
+        not_before_ns: images captured before it are not predicted on, not even in shadow.
+    """
+
+    not_before_ns = 0
+
+    def __init__(self, status: ModuleStatus) -> None:
+        """Args:
+        status: where to report.
+        """
+        self.status = status
+
+    def is_shadow(self, stamp_ns: int) -> bool:
+        """Whether that input is still the predecessor's: work on it, and send nothing."""
+        return False
+
+    def is_over(self, stamp_ns: int) -> bool:
+        """Whether that input is already the successor's."""
+        return False
+
+    def is_ours(self, stamp_ns: int) -> bool:
+        """Whether this module is to act on that input."""
+        return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
+
+    def may_send(self, now_ns: int) -> bool:
+        """Whether the predecessor has finished, so that this module may send its own."""
+        return True
+
+    def must_fall_silent(self, now_ns: int) -> bool:
+        """Whether the successor replaces what is left of a chunk."""
+        return False
+
+    def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
+        """What the module would have sent for an input of the predecessor."""
+
+    def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
+        """What the predecessor has sent, and when [monotonic s]; called in shadow."""
+
+    def note_sent(self, what: str) -> None:
+        """An output of that name has gone out."""
 
 
 class ModuleHost(Protocol):

@@ -23,6 +23,10 @@ log = logging.getLogger(__name__)
 class MotionGuard:
     """Applies the limits of `[limits]` to one arm; used from the executor's thread.
 
+    Attributes:
+        follow, rest: see `MotionLimiter`: a command of the predecessor, and a hold where the arm is measured.
+        close: closes the audit.
+
     Raises:
         ConfigurationError: the limits do not fit the robot.
     """
@@ -54,6 +58,7 @@ class MotionGuard:
         self._status = status
         self._counts: dict[str, int] = {}
         self._audit = AuditLog(state / FILE_NAME, time_ns)
+        self.follow, self.rest, self.close = self._limiter.follow, self._limiter.rest, self._audit.close
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
 
@@ -78,18 +83,6 @@ class MotionGuard:
             self._status.dropped.add(f"limit_{verdict.acted[-1]}")
         self._record(verdict, now_s)
         return verdict.command
-
-    def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
-        """The predecessor has sent this, at the monotonic time `sent_s`."""
-        self._limiter.follow(command, joints, sent_s)
-
-    def rest(self, joints: JointSample | None, now_s: float) -> None:
-        """The arm was told to hold where it is measured."""
-        self._limiter.rest(joints, now_s)
-
-    def close(self) -> None:
-        """Close the audit."""
-        self._audit.close()
 
     def _report(self, word: str, motion: Motion | None) -> None:
         if motion is None:

@@ -65,10 +65,6 @@ class Signals:
         self._pressed = True
 
 
-def _unheard(_: bytes) -> None:
-    """Nobody asks whether the server lives."""
-
-
 class ParentPipe:
     """Stdin, whose other end only the parent holds; read by any thread that has to know what the parent has written.
 
@@ -78,7 +74,7 @@ class ParentPipe:
         on_data: gets what was read, in its order.
     """
 
-    def __init__(self, on_data: Callable[[bytes], None] = _unheard) -> None:
+    def __init__(self, on_data: Callable[[bytes], object]) -> None:
         self._on_data = on_data
         self._lock = threading.Lock()
         self._descriptor = os.dup(0)
@@ -127,9 +123,7 @@ def end_group() -> None:
             os.killpg(group, signal.SIGKILL)
 
 
-def watch_stdin(
-    on_end: Callable[[], None], on_beat: Callable[[bytes], None] = _unheard, grace_s: float = GRACE_S
-) -> ParentPipe:
+def watch_stdin(on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S) -> ParentPipe:
     """Call `on_beat` with what comes on stdin: the server lives.
 
     When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may

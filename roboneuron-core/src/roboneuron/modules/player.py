@@ -37,7 +37,6 @@ class RowPlayer:
         self._executor = executor
         self._publish = send
         self._has_sent = False
-        self._heard_s = 0.0
         self._worker = Worker("playing", self._play, node.status)
         self.start, self.stop = self._worker.start, self._worker.stop
         node.resources.callback(self.stop)
@@ -58,7 +57,7 @@ class RowPlayer:
                 executor.drop()
                 return
             silent_s = max(_PREDECESSOR_S, _PREDECESSOR_PERIODS * executor.step_s)
-            if not node.handover.may_send(now_ns) and time.monotonic() - self._heard_s < silent_s:
+            if not node.handover.may_send(now_ns) and time.monotonic() - executor.heard_s < silent_s:
                 executor.changed.wait(_LOOK_S)
                 return
             try:
@@ -74,5 +73,4 @@ class RowPlayer:
     def _on_predecessors_action(self, message: Float64MultiArray) -> None:
         """Count what moves the arm until this module does."""
         if not self._has_sent and len(message.data) == ACTION_SIZE:
-            self._heard_s = time.monotonic()
-            self._executor.note_sent(np.array(message.data), self._heard_s, self._node.now_ns())
+            self._executor.note_sent(np.array(message.data), time.monotonic(), self._node.now_ns())

@@ -6,12 +6,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from roboneuron.contract import ActionChunk
+from roboneuron.contract.arrays import F64
 
-F64 = NDArray[np.float64]
 Outcome = Literal["accepted", "withdrawn", "late", "unconditioned"]
 """What became of an answer. `withdrawn`: made for an earlier instruction or before a stop. `late`: more rows were sent
 since its image than it has. `unconditioned`: it continues rows that were not played as promised (trained prefixes)."""

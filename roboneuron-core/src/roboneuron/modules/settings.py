@@ -48,6 +48,7 @@ class ModuleSettings(BaseModel):
 
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
+MAX_INSTRUCTION_LENGTH = 1000
 FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not the server's."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"

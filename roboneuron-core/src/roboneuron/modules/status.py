@@ -17,7 +17,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import InternalError, RoboNeuronError
 from roboneuron.modules.report import StatusReport, to_text
 from roboneuron.modules.settings import STATUS_PERIOD_S
 from roboneuron.ros.qos import STATUS
@@ -28,24 +28,19 @@ _SAMPLES = 256
 
 
 class RateMeter:
-    """Events per second over the last three seconds of monotonic time."""
+    """Events per second over the last three seconds of monotonic time; `total` counts those since the start."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._times: deque[float] = deque(maxlen=4096)
         self._lock = threading.Lock()
-        self._total = 0
+        self.total = 0
 
     def tick(self) -> None:
         """Count one event now."""
         with self._lock:
             self._times.append(self._clock())
-            self._total += 1
-
-    @property
-    def total(self) -> int:
-        """Events since the start."""
-        return self._total
+            self.total += 1
 
     def rate_hz(self) -> float:
         """Mean rate over the window; 0 when fewer than two events fell into it."""
@@ -154,6 +149,10 @@ class ModuleStatus:
             self._error, self._error_count = error, self._error_count + 1
         if not same:
             self.changed.set()
+
+    def set_unexpected(self, error: Exception) -> None:
+        """Remember what a plugin raised against its contract."""
+        self.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
 
     def clear_error(self) -> None:
         """The module works again."""

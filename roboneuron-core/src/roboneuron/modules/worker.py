@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.status import ModuleStatus
 
 _RETRY_S = 0.05
@@ -15,10 +15,6 @@ _GIVE_UP_S = 0.1
 LIMIT_S = 0.4
 """A step that takes longer than this makes the module count as stalled, unless it says otherwise."""
 log = logging.getLogger(__name__)
-
-
-def _wait_only() -> None:
-    """The step ends by itself."""
 
 
 class Worker:
@@ -32,12 +28,7 @@ class Worker:
     """
 
     def __init__(
-        self,
-        name: str,
-        step: Callable[[threading.Event], None],
-        status: ModuleStatus,
-        *,
-        limit_s: float = LIMIT_S,
+        self, name: str, step: Callable[[threading.Event], None], status: ModuleStatus, *, limit_s: float = LIMIT_S
     ) -> None:
         self._name = name
         self._step = step
@@ -56,7 +47,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, args=(self._stop,), name=self._name, daemon=True)
         self._thread.start()
 
-    def stop(self, timeout_s: float = 2.0, give_up: Callable[[], None] = _wait_only) -> bool:
+    def stop(self, timeout_s: float = 2.0, give_up: Callable[[], object] = lambda: None) -> bool:
         """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent.
 
         `give_up` is called at once and then every 0.1 s while the thread runs: it ends what the step waits for.
@@ -86,7 +77,7 @@ class Worker:
                 self._status.set_error(error)
             except Exception as error:  # the module border: plugins may raise anything
                 log.exception("%s failed", self._name)
-                self._status.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
+                self._status.set_unexpected(error)
             else:
                 continue
             stop.wait(_RETRY_S)

@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from importlib.resources import files
 from importlib.util import find_spec
 
-from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import Requirement
 
 
@@ -30,22 +29,6 @@ def present(requirement: Requirement) -> tuple[str, ...]:
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
     """Those of `requirements` for which neither the module nor an alternative can be found, in their order."""
     return tuple(r for r in requirements if not present(r))
-
-
-def choose(requirement: Requirement, choice: str = "auto") -> str:
-    """The module to use: `choice`, or for "auto" the first of module and alternatives that is there.
-
-    Raises:
-        ConfigurationError: it is not there.
-    """
-    found = present(requirement)
-    if choice == "auto" and found:
-        return found[0]
-    if choice in found:
-        return choice
-    wanted = requirement if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
-    hint = f"Or leave the choice to 'auto': {' and '.join(found)} is installed." if found else ""
-    raise ConfigurationError(f"{explain([wanted])}.", hint=hint)
 
 
 def explain(absent: Iterable[Requirement]) -> str:

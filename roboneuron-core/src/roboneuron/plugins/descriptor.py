@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from types import NoneType, UnionType
@@ -99,11 +100,9 @@ def _check_feature(spec: FeatureSpec) -> None:
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise PluginError(f"The {who} hold the name {name!r} twice.")
-        seen.add(name)
 
 
 def _check_fields(value: object, who: str) -> None:

@@ -170,7 +170,10 @@ def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
     specs: list[Spec] = []
     for hook, expected in hooks.specs.items():
         for offered in _call(manager, hook):
-            specs.extend(check_spec(spec, expected) for spec in _check_sequence(offered, hook))
+            if not isinstance(offered, (list, tuple)):
+                what = type(offered).__name__
+                raise PluginError(f"The hook {hook} returned {what}, expected a sequence of descriptors.")
+            specs.extend(check_spec(spec, expected) for spec in offered)
     if not specs:
         raise PluginError(f"{module.__name__} offers nothing, expected a hook such as {hookspecs.HOOKS['backend']}.")
     return tuple(specs)
@@ -199,12 +202,6 @@ def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
     if len(results) != len(caller.get_hookimpls()):  # pluggy drops None
         raise PluginError(f"The hook {hook} returned None, expected a sequence of descriptors.")
     return results
-
-
-def _check_sequence(offered: object, hook: str) -> Sequence[object]:
-    if not isinstance(offered, (list, tuple)):
-        raise PluginError(f"The hook {hook} returned {type(offered).__name__}, expected a sequence of descriptors.")
-    return offered
 
 
 def _offer(spec: Spec, distribution: str) -> Offer:

@@ -110,16 +110,7 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
     """
 
 
-HOOKS = {
-    "backend": "roboneuron_backends",
-    "runtime": "roboneuron_runtimes",
-    "acceleration": "roboneuron_accelerations",
-    "perception": "roboneuron_perceptions",
-    "controller": "roboneuron_controllers",
-    "robot": "roboneuron_robots",
-    "feature": "roboneuron_features",
-    "command": "roboneuron_commands",
-}
+HOOKS = {kind: f"{PROJECT}_{kind}s" for kind in KINDS}
 """Hook name by descriptor kind, of the hooks that core knows."""
 
 

@@ -47,24 +47,10 @@ class AgentMaySet:
 
 def is_restricted(name: str, field: FieldInfo) -> bool:
     """Whether an option is for the configuration only: by its mark, or without one by its type and name."""
-    marks = tuple(_marks(field))
-    if any(isinstance(mark, ConfigurationOnly) for mark in marks):
+    found = tuple(marks(field))
+    if any(isinstance(mark, ConfigurationOnly) for mark in found):
         return True
-    return looks_restricted(name, field) and not any(isinstance(mark, AgentMaySet) for mark in marks)
-
-
-def unmarked_options(model: type[BaseModel]) -> list[str]:
-    """Options that look restricted and bear neither mark, those of its tables included, as `Model.option`."""
-    found, pending, seen = [], [model], {model}
-    while pending:
-        table = pending.pop(0)
-        for name, field in table.model_fields.items():
-            if looks_restricted(name, field) and not any(_marks(field)):
-                found.append(f"{table.__name__}.{name}")
-            inner = [part for part in _models(field.annotation) if part not in seen]
-            pending += inner
-            seen.update(inner)
-    return found
+    return looks_restricted(name, field) and not any(isinstance(mark, AgentMaySet) for mark in found)
 
 
 def restricted_values(model: type[BaseModel] | None, options: Mapping[str, object]) -> dict[str, object]:
@@ -80,7 +66,8 @@ def looks_restricted(name: str, field: FieldInfo) -> bool:
     return "text" in kinds and _WORDS.search(name.lower()) is not None
 
 
-def _marks(field: FieldInfo) -> Iterator[object]:
+def marks(field: FieldInfo) -> Iterator[object]:
+    """The marks that an option bears."""
     for mark in (*field.metadata, *_inner_marks(field.annotation)):
         if isinstance(mark, ConfigurationOnly | AgentMaySet):
             yield mark
@@ -124,15 +111,6 @@ def _alternatives(annotation: object) -> Iterator[object]:
             yield from _alternatives(part)
     else:
         yield annotation
-
-
-def _models(annotation: object) -> Iterator[type[BaseModel]]:
-    """The tables in a type, however deep."""
-    for kind in _alternatives(annotation):
-        if _is_model(kind):
-            yield kind
-        for part in get_args(kind):
-            yield from _models(part)
 
 
 def _is_model(kind: object) -> TypeGuard[type[BaseModel]]:

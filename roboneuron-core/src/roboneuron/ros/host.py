@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any, TypeVar
 
 from rclpy.node import Node
@@ -55,9 +56,7 @@ class NodeTopics:
     def __init__(self, node: Node, accepts: Callable[[], bool] = lambda: True) -> None:
         self._node = node
         self._accepts = accepts
-        self._subscriptions: list[object] = []
-        self._following: list[_FollowingSubscription] = []
-        self._publishers: list[object] = []
+        self._made = ExitStack()
 
     def subscribe(
         self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
@@ -69,14 +68,15 @@ class NodeTopics:
                 callback(message)
 
         if best_effort:
-            self._following.append(_FollowingSubscription(self._node, topic, message_type, deliver))
-            return
-        self._subscriptions.append(self._node.create_subscription(message_type, topic, deliver, NEWEST))
+            self._made.callback(_FollowingSubscription(self._node, topic, message_type, deliver).destroy)
+        else:
+            subscription = self._node.create_subscription(message_type, topic, deliver, NEWEST)
+            self._made.callback(self._node.destroy_subscription, subscription)
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """See `Topics.advertise`."""
         publisher = self._node.create_publisher(message_type, topic, NEWEST)
-        self._publishers.append(publisher)
+        self._made.callback(self._node.destroy_publisher, publisher)
         context = self._node.context
 
         def publish(message: M) -> None:
@@ -95,12 +95,4 @@ class NodeTopics:
 
     def close(self) -> None:
         """Destroy all publishers and subscriptions made through this object."""
-        for following in self._following:
-            following.destroy()
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
-        for publisher in self._publishers:
-            self._node.destroy_publisher(publisher)
-        self._following.clear()
-        self._subscriptions.clear()
-        self._publishers.clear()
+        self._made.close()

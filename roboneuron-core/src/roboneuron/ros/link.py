@@ -66,12 +66,7 @@ class RosLink:
         self._is_closing = False
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self._node = Node(
-            self._node_name,
-            context=self._context,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        self._node = Node(self._node_name, context=self._context, enable_rosout=False, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="ros-link", daemon=True)

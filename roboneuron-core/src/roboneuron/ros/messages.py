@@ -7,12 +7,12 @@ import array
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract.action import ACTION_LABEL, ACTION_SIZE
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.image import frame_from_buffer
 from roboneuron.contract.motion import JointCommand
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
@@ -20,7 +20,6 @@ from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
 _STATE_STEP_S = 0.1
-F64 = NDArray[np.float64]
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 

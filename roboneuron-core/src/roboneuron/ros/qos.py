@@ -8,35 +8,25 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-NEWEST = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+
+def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
+    )
+
+
+NEWEST = _reliable(1)
 """Images, actions, states, commands: reliable, and only the newest counts (best effort loses large images)."""
 
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """The emergency stop: late joiners receive the last value."""
 
 STOP_REQUESTS = (LATCHED, NEWEST)
 """To hear every emergency stop, subscribe with each: one that asks for the last value never matches a publisher
 that keeps none, such as `ros2 topic pub`."""
 
-STATUS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=20,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""
-
-
 _DEPTH = 10
 
 
@@ -45,7 +35,7 @@ def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
 
     Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
     """
-    profile = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+    profile = _reliable(_DEPTH)
     asked = [info.qos_profile for info in subscriptions]
     if any(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in asked):
         profile.durability = DurabilityPolicy.TRANSIENT_LOCAL

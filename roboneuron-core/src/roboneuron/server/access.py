@@ -36,11 +36,6 @@ class Holder:
     role: str
     client: str = ""
 
-    @property
-    def account(self) -> str:
-        """Whose share of connections and sessions it uses: the token's, or that of all clients without one."""
-        return LOCAL_PROCESS.who if self.client else self.who
-
 
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
 """The client of a stdio server: whoever started the server, so it has every role."""

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import anyio
 from anyio import to_thread
@@ -16,7 +19,6 @@ from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.gate import Gate
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.diagnostics import HealthDiagnostics
 from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features, Transport
@@ -30,11 +32,14 @@ from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.motion.traffic import Traffic
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.resources import STATUS_URI, Resources, observing_tools
+from roboneuron.server.resources import STATUS_URI, Resources, status_tool
 from roboneuron.server.sections import check_configuration
 from roboneuron.server.surface import make_server
-from roboneuron.supervisor.health import Watch
-from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView, Watch
+from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
 
 SWITCH_S = 0.001
 """How long a thread that computes keeps the others waiting; the interpreter's own default is 5 ms."""
@@ -53,8 +58,6 @@ def shorten_pauses() -> None:
 
 log = logging.getLogger(__name__)
 _MOTION_S = 2.0
-_STOP_S = 1.5
-"""When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
 
 INSTRUCTIONS = """\
 RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
@@ -62,6 +65,39 @@ set_instruction. Watch get_status and get_camera_image. A call that returns has 
 error with a reason. list_* tell what can be chosen. publish_*, read_*, call_*, send_*_goal, move_* use the robot's ROS
 interfaces directly; while a policy runs, it alone moves the robot. emergency_stop stops all motion at once; stop_all
 ends all."""
+
+
+class HealthDiagnostics:
+    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change of its health."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._send: Callable[[DiagnosticArray], None] | None = None
+
+    def publish(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Publish one change; a listener of `Events.health`."""
+        if view.choice is None:
+            return
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
+
+        from roboneuron.ros.qos import STATUS
+        from roboneuron.ros.topics import DIAGNOSTICS
+
+        if self._send is None:
+            self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
+        level: Any = DiagnosticStatus.OK
+        if health in FAULTS:
+            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+        told = DiagnosticStatus(
+            level=level,
+            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
+            message=EXPLANATIONS[health],
+            hardware_id=str(os.getpid()),
+            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
+        )
+        message = DiagnosticArray(status=[told])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+        self._send(message)
 
 
 class Application:
@@ -115,11 +151,7 @@ class Application:
         self.allow_list = AllowList(self.gate, lambda: self.loop.config, self.plugins.current)
         traffic = Traffic(lambda: self.supervisor.link)
         self.tools = ToolRegistry(
-            [
-                *observing_tools(self.loop, self.started_s),
-                *closed_loop_tools(self.loop),
-                *emergency_tools(self.loop),
-            ],
+            [status_tool(self.loop, self.started_s), *closed_loop_tools(self.loop), *emergency_tools(self.loop)],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_call=self.events.call.tell,
@@ -164,7 +196,7 @@ class Application:
         """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
         self._watch.close()
         self.end_direct_motion()
-        self.supervisor.stop_all(_STOP_S)
+        self.supervisor.stop_all(LEAVE_S)
         self.features.close()
         self.supervisor.close()
         self.events.end.tell()

@@ -59,30 +59,30 @@ def reset_command(state_directory: Path) -> str:
 
 
 class EmergencyStop:
-    """Writes the latch file, and publishes in every namespace that a module was started in; usable from any thread."""
+    """Writes the latch file, and publishes in every namespace that a module was started in; usable from any thread.
+
+    Attributes:
+        file: the latch itself, which the gate of the direct path looks at before every message.
+        audit: where presses and resets are written.
+    """
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[Any], None]] = {}
         self._restored = 0
-        self._latch = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
+        self.file = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
         self.audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
-
-    @property
-    def file(self) -> EmergencyStopLatch:
-        """The latch itself, which the gate of the direct path looks at before every message."""
-        return self._latch
 
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
-        return self._latch.is_latched() or any(
+        return self.file.is_latched() or any(
             view.report is not None and view.report.emergency_stop is True for view in self._supervisor.views()
         )
 
     def cause(self) -> str:
         """Who latched it and why, as far as that is known; empty when it is not latched."""
-        state = self._latch.read_state()
+        state = self.file.read_state()
         restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
         return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
 
@@ -91,7 +91,7 @@ class EmergencyStop:
 
         Called now and then, which also keeps the server latched when the file vanishes.
         """
-        restored = self._latch.read_state().restored
+        restored = self.file.read_state().restored
         is_news, self._restored = restored > self._restored, restored
         if not is_news:
             return 0
@@ -111,13 +111,13 @@ class EmergencyStop:
                 self._publishers[namespace] = link.advertise(Bool, topic, LATCHED)
                 for qos in STOP_REQUESTS:
                     link.subscribe(Bool, topic, lambda message: self._on_topic(topic, message.data), qos)
-            self._publishers[namespace](Bool(data=self._latch.is_latched()))
+            self._publishers[namespace](Bool(data=self.file.is_latched()))
 
     def _on_topic(self, topic: str, is_pressed: bool) -> None:
         """Any node of the graph may stop; none may release."""
         if is_pressed:
             try:
-                self._latch.press(who=f"a node on the topic {topic}", reason="received by the server")
+                self.file.press(who=f"a node on the topic {topic}", reason="received by the server")
             except UnsafeError as error:
                 log.error("%s", error)
 
@@ -130,7 +130,7 @@ class EmergencyStop:
         """
         unwritten: UnsafeError | None = None
         try:
-            self._latch.latch(who=who, reason=reason, audit=self.audit)
+            self.file.latch(who=who, reason=reason, audit=self.audit)
         except UnsafeError as error:
             unwritten = error
         confirmed, silent, took_s = self._tell(namespace, True)
@@ -152,7 +152,7 @@ class EmergencyStop:
             NotReadyError: a running module did not confirm it in time.
         """
         self._hear_echoes()
-        self._latch.reset(who=who, role=role, audit=self.audit)
+        self.file.reset(who=who, role=role, audit=self.audit)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(
@@ -178,10 +178,7 @@ class EmergencyStop:
             publish(Bool(data=latched))
         log.warning("Emergency stop %s.", "latched" if latched else "released")
 
-        def all_confirmed() -> bool:
-            return not self._unconfirmed(latched, started_s)
-
-        self._supervisor.changes.wait_for(all_confirmed, CONFIRM_S)
+        self._supervisor.changes.wait_for(lambda: not self._unconfirmed(latched, started_s), CONFIRM_S)
         silent = self._unconfirmed(latched, started_s)
         running = [view.kind for view in self._supervisor.views() if view.phase == "running"]
         return [kind for kind in running if kind not in silent], silent, time.monotonic() - started_s

@@ -2,35 +2,13 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Mapping
-from typing import Any, Generic, ParamSpec
+from collections.abc import Mapping
+from typing import Any
 
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.supervisor.changes import Event
 from roboneuron.supervisor.health import Health, ModuleView
-
-log = logging.getLogger(__name__)
-P = ParamSpec("P")
-
-
-class Event(Generic[P]):
-    """Listeners of one event; a listener that raises is logged and disturbs nobody."""
-
-    def __init__(self) -> None:
-        self._listeners: list[Callable[P, object]] = []
-
-    def listen(self, listener: Callable[P, object]) -> None:
-        """Have `listener` called with each event, on the thread that brings it; it must return quickly."""
-        self._listeners.append(listener)
-
-    def tell(self, *facts: P.args, **named: P.kwargs) -> None:
-        """It happened: call all listeners, in the order in which they came."""
-        for listener in self._listeners:
-            try:
-                listener(*facts, **named)
-            except Exception:  # a failing listener must not stop the others, nor the thread that told it
-                log.exception("A listener failed.")
 
 
 class Events:

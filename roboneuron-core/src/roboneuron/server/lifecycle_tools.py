@@ -13,10 +13,10 @@ from pydantic import Field
 
 from roboneuron.errors import RefusedError, UnsafeError
 from roboneuron.gate.request import ADMIN, VIEWER
-from roboneuron.modules.settings import MODULE_KINDS
+from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
 from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KINDS, MAX_INSTRUCTION_LENGTH, KindEntry
+from roboneuron.server.module_kinds import KINDS, KindEntry
 from roboneuron.server.results import (
     EmergencyStopResult,
     InstructionResult,

@@ -5,14 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from roboneuron.config import Config
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.compatibility import check_compatible
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import Selection, check_instruction, select
@@ -29,12 +28,8 @@ _PARAMETER_S = 5.0
 _KEPT_ACTIONS = 4096
 
 
-def ignore_stage(_: str) -> None:
-    """No listener for the stages of a start."""
-
-
 class ActionStream:
-    """Listens to `/<namespace>/action` until it is closed.
+    """Listens to `/<namespace>/action` for as long as the link is open.
 
     Times are DDS source times [ns]: when the inference process sent the action, whatever the way to here took.
     """
@@ -54,29 +49,12 @@ class ActionStream:
 
         topic = f"/{namespace}/{ACTION}"
         # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
-        subscription = link.on_executor(
-            lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
-        )
-        self._end: Callable[[], object] = lambda: link.on_executor(lambda: link.node.destroy_subscription(subscription))
+        link.on_executor(lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS))
 
-    def close(self) -> None:
-        """Stop listening."""
-        self._end()
-
-    def since(self, moment_ns: int) -> list[tuple[float, ...]]:
-        """Values of the actions sent at or after a moment."""
-        with self._lock:
-            return [values for sent_ns, values in self._actions if sent_ns >= moment_ns]
-
-    def newest(self, most: int) -> list[tuple[int, tuple[float, ...]]]:
+    def actions(self) -> list[tuple[int, tuple[float, ...]]]:
         """The newest actions: source time [ns] and values, oldest first."""
         with self._lock:
-            return list(self._actions)[-most:]
-
-    def sent_ns(self) -> list[int]:
-        """When the actions that are kept were sent [ns], oldest first."""
-        with self._lock:
-            return [at for at, _ in self._actions]
+            return list(self._actions)
 
 
 class ClosedLoop:
@@ -95,11 +73,8 @@ class ClosedLoop:
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
         choice = self.supervisor.view("robot").choice
-        return self.base if choice is None else choice.settings.config.model_copy(update=self._base_sections())
-
-    def robot_spec(self) -> RobotSpec:
-        """Descriptor of the present robot."""
-        return self.plugins.current().get(RobotSpec, self.config.robot.name)
+        others: dict[str, Any] = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
+        return self.base if choice is None else choice.settings.config.model_copy(update=others)
 
     def camera_roles(self) -> dict[str, str]:
         """Camera name -> role of the present robot; empty when its plugin is gone."""
@@ -132,7 +107,7 @@ class ClosedLoop:
             self._check_not_latched()
 
     def start(
-        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = ignore_stage, role: str = ""
+        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = lambda stage: None, role: str = ""
     ) -> ModuleView:
         """Start a module for a client with `role`; as configured when there is no request.
 
@@ -166,7 +141,7 @@ class ClosedLoop:
         """The newest actions on the present robot's action topic: source time [ns] and values; for the records."""
         with self._lock:
             stream = self._streams.get(self.config.namespace)
-        return [{"sent_ns": at, "values": list(values)} for at, values in stream.newest(most)] if stream else []
+        return [{"sent_ns": at, "values": list(values)} for at, values in stream.actions()[-most:]] if stream else []
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
@@ -238,9 +213,72 @@ class ClosedLoop:
                 hint="A person releases it: see reset_emergency_stop.",
             )
 
-    def _base_sections(self) -> dict[str, Any]:
-        return {
-            "perception": self.base.perception,
-            "inference": self.base.inference,
-            "control": self.base.control,
-        }
+
+def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
+    """Compare what is to be started with the modules that run.
+
+    Raises:
+        StateError: another module works for another robot.
+        InvalidInputError: the source of images does not serve all cameras of the backend.
+    """
+    if selection.kind == "robot":
+        _check_robot(selection, views)
+    elif selection.kind == "inference":
+        served = _running(views["perception"])
+        if served is not None:
+            _check_cameras(selection, served)
+    elif selection.kind == "perception":
+        served_backend = _running(views["inference"])
+        if served_backend is not None:
+            _check_cameras(served_backend, selection)
+
+
+def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
+    for view in views.values():
+        if view.choice is not None and view.choice.settings.config.namespace != selection.config.namespace:
+            raise StateError(
+                f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
+                f"not for {selection.config.robot.name!r}.",
+                hint="Call stop_all first.",
+            )
+
+
+def _check_cameras(inference: Selection, perception: Selection) -> None:
+    backend, section = inference.plan.backend, perception.config.perception
+    assert backend is not None
+    assert section is not None
+    needed = [inference.plan.cameras[role] for role in backend.cameras]
+    absent = [name for name in needed if name not in section.cameras]
+    if section.cameras and absent:
+        raise InvalidInputError(
+            f"Backend {backend.name!r} needs the camera {', '.join(absent)}, "
+            f"but perception serves only {', '.join(section.cameras)}.",
+            hint="Let perception serve all cameras, or name others in `cameras`.",
+        )
+
+
+def _running(view: ModuleView) -> Selection | None:
+    """What the running module was started with."""
+    if view.phase != "running" or view.choice is None or view.choice.plan is None:
+        return None
+    return running_selection(view)
+
+
+def running_selection(view: ModuleView) -> Selection:
+    """What a module was started with, to start the same again.
+
+    Raises:
+        StateError: it was not started from a plan.
+    """
+    choice = view.choice
+    if choice is None or choice.plan is None:
+        raise StateError(f"It is not known what {view.kind} was started with.")
+    config = choice.settings.config
+    section = getattr(config, view.kind)
+    return Selection(
+        kind=view.kind,
+        config=config,
+        names=choice.names,
+        plan=choice.plan,
+        python=section.python if section is not None else None,
+    )

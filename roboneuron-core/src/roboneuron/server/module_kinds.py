@@ -9,12 +9,10 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from roboneuron.config import ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.modules.settings import ModuleKind
+from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
 from roboneuron.server.tool import Arguments
 
 Section = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
-MAX_INSTRUCTION_LENGTH = 1000
-"""The inference module refuses longer ones."""
 
 Options = Annotated[
     dict[str, Any],

@@ -143,7 +143,9 @@ class ToolRegistry:
 
     async def _answer(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         try:
-            tool = self._find(name)
+            tool = self.get(name)
+            if tool is None:
+                raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
             check_role(tool, context)
             if tool.urgent is not None:
                 tool.urgent(arguments, context)
@@ -185,12 +187,6 @@ class ToolRegistry:
             return await tool.call(arguments, context)
         finally:
             self._calls[context.role] -= 1
-
-    def _find(self, name: str) -> Tool[Any]:
-        tool = self.get(name)
-        if tool is None:
-            raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
-        return tool
 
 
 class _Entry:
@@ -238,7 +234,5 @@ def failure(error: RoboNeuronError) -> types.CallToolResult:
     if isinstance(error, InvalidInputError) and error.path:
         details["path"] = error.path[:_MOST_TEXT]
     return types.CallToolResult(
-        content=[types.TextContent(type="text", text=_clipped(str(error)))],
-        _meta={ERROR_META: details},
-        is_error=True,
+        content=[types.TextContent(type="text", text=_clipped(str(error)))], _meta={ERROR_META: details}, is_error=True
     )

@@ -48,26 +48,24 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     )
 
 
-def observing_tools(loop: ClosedLoop, started_s: float) -> list[Tool[Any]]:
+def status_tool(loop: ClosedLoop, started_s: float) -> Tool[Any]:
     """get_status."""
 
     async def get_status(_: NoArguments, context: CallContext) -> StatusResult:
         return status(loop, started_s)
 
-    return [
-        Tool(
-            name="get_status",
-            title="Status of everything",
-            description=(
-                "State, process, rates, latencies, ages, drops and errors of each module; the emergency stop; versions."
-            ),
-            arguments=NoArguments,
-            result=StatusResult,
-            handler=get_status,
-            read_only=True,
-            idempotent=True,
+    return Tool(
+        name="get_status",
+        title="Status of everything",
+        description=(
+            "State, process, rates, latencies, ages, drops and errors of each module; the emergency stop; versions."
         ),
-    ]
+        arguments=NoArguments,
+        result=StatusResult,
+        handler=get_status,
+        read_only=True,
+        idempotent=True,
+    )
 
 
 STATUS_URI = "roboneuron://status"

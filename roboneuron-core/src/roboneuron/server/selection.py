@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,7 @@ def select(
     if model is not None:
         config, request = _with_model(config, request, model)
     section = _section(kind, config, registry, request)
-    plan = _plan(section, config, registry)
-    spec, names = _chosen(section, plan)
+    plan, spec, names = _plan(section, config, registry)
     name = next(iter(names.values()))
     config = _merge(config, name, spec, getattr(request, "options", {}), role)
     options = dict(config.options(name))
@@ -134,26 +134,15 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
     return section.model_copy(update={key: value for key, value in named.items() if value is not None})
 
 
-def _plan(section: Section, config: Config, registry: Registry) -> Plan:
-    parts: dict[str, Any]
+def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
+    """The plan, what reads the options, and the names of what was chosen, the plugin first."""
+    check = partial(check_plan, registry, robot=config.robot.name, driver=config.robot.driver)
     match section:
         case RobotConfig():
-            return check_plan(registry, robot=section.name, driver=section.driver)
+            plan = check(robot=section.name, driver=section.driver)
+            return plan, plan.driver, {"robot": section.name, "driver": section.driver}
         case PerceptionConfig():
-            parts = {"perception": section.source}
-        case ControlConfig():
-            parts = {"controller": section.controller}
-        case InferenceConfig():
-            parts = section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
-    return check_plan(registry, robot=config.robot.name, driver=config.robot.driver, **parts)
-
-
-def _chosen(section: Section, plan: Plan) -> tuple[Spec | DriverSpec, dict[str, str]]:
-    """What reads the options, and what was chosen, the plugin first."""
-    match section:
-        case RobotConfig():
-            return plan.driver, {"robot": section.name, "driver": section.driver}
-        case PerceptionConfig():
+            plan = check(perception=section.source)
             assert plan.perception is not None
             known = [camera.name for camera in plan.robot.cameras]
             for camera in section.cameras:
@@ -162,11 +151,13 @@ def _chosen(section: Section, plan: Plan) -> tuple[Spec | DriverSpec, dict[str, 
                         f"Robot {plan.robot.name!r} has no camera {camera!r}.",
                         hint=f"Its cameras: {', '.join(known) or 'none'}.",
                     )
-            return plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
+            return plan, plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
         case ControlConfig():
+            plan = check(controller=section.controller)
             assert plan.controller is not None
-            return plan.controller, {"controller": section.controller}
+            return plan, plan.controller, {"controller": section.controller}
         case InferenceConfig():
+            plan = check(**section.model_dump(include={"backend", "runtime", "acceleration", "cameras"}))
             assert plan.backend is not None
             names = {
                 "backend": section.backend,
@@ -175,7 +166,7 @@ def _chosen(section: Section, plan: Plan) -> tuple[Spec | DriverSpec, dict[str, 
                 "acceleration": plan.acceleration.name if plan.acceleration else "",
                 "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
             }
-            return plan.backend, {key: name for key, name in names.items() if name}
+            return plan, plan.backend, {key: name for key, name in names.items() if name}
 
 
 def check_instruction(text: str) -> str:

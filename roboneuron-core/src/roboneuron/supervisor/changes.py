@@ -1,4 +1,4 @@
-"""Waiting with a bound, where every change wakes every waiter; and threads that repeat one step."""
+"""Events; waiting with a bound, where every change wakes every waiter; and threads that repeat one step."""
 
 from __future__ import annotations
 
@@ -7,11 +7,33 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Generic, ParamSpec, TypeVar
 
+log = logging.getLogger(__name__)
+P = ParamSpec("P")
 T = TypeVar("T")
+_JOIN_S = 2.0
 _POLL_S = 0.05
 """Facts that nobody announces (a service discovered) are looked at this often."""
+
+
+class Event(Generic[P]):
+    """Listeners of one event; a listener that raises is logged and disturbs nobody."""
+
+    def __init__(self) -> None:
+        self._listeners: list[Callable[P, object]] = []
+
+    def listen(self, listener: Callable[P, object]) -> None:
+        """Have `listener` called with each event, on the thread that brings it; it must return quickly."""
+        self._listeners.append(listener)
+
+    def tell(self, *facts: P.args, **named: P.kwargs) -> None:
+        """It happened: call all listeners, in the order in which they came."""
+        for listener in self._listeners:
+            try:
+                listener(*facts, **named)
+            except Exception:  # a failing listener must not stop the others, nor the thread that told it
+                log.exception("A listener failed.")
 
 
 class Lasting:
@@ -65,10 +87,6 @@ class Changes:
                 return None
             with self._condition:
                 self._condition.wait_for(lambda: self._version != seen, min(remaining_s, _POLL_S))  # noqa: B023
-
-
-log = logging.getLogger(__name__)
-_JOIN_S = 2.0
 
 
 class Periodic:

@@ -24,7 +24,7 @@ from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.health import StatusBoard, Stopped
 from roboneuron.supervisor.lifecycle import LifecycleClient
-from roboneuron.supervisor.process import ModuleProcess, ProcessObservers, end_processes, spawn
+from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, end_processes, spawn
 from roboneuron.supervisor.slot import Claim, Phase, Slot
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Launcher:
 
     Attributes:
         log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
-        observers, secret_variables: as `Supervisor`.
+        process_events, secret_variables: as `Supervisor`.
         board: what the modules report.
         connection: the server's node.
     """
@@ -139,7 +139,7 @@ class Launcher:
         connect: Connect = Connection,
     ) -> None:
         self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
-        self.observers = ProcessObservers()
+        self.process_events = ProcessEvents()
         self.secret_variables: set[str] = set()
         self.board = StatusBoard(changes)
         self.connection = connect(self.board.receive, self.log_directory)
@@ -213,7 +213,7 @@ class Launcher:
                 module_environment(python, next(self.connection.starts), self.secret_variables),
                 told.model_dump_json(),
                 self.log_directory / f"{settings.node_name}.log",
-                self.observers,
+                self.process_events,
             )
             process = spawning.result()
         except OSError as error:

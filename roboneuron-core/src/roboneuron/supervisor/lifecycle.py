@@ -30,12 +30,7 @@ class LifecycleClient:
     """
 
     def __init__(
-        self,
-        link: RosLink,
-        node: str,
-        changes: Changes,
-        check: Callable[[], None],
-        announce: Callable[[bytes], None],
+        self, link: RosLink, node: str, changes: Changes, check: Callable[[], None], announce: Callable[[bytes], None]
     ) -> None:
         self._announce = announce
         self._link = link

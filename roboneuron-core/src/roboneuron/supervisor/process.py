@@ -17,11 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
 
 from roboneuron.errors import NotReadyError
 from roboneuron.log_files import escaped, make_log_directory, opener
-from roboneuron.supervisor.changes import Lasting
+from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
 _LAST_LINES = 15
@@ -33,39 +32,19 @@ _FROZEN_S = 0.3
 """A debugger or job control may stop a process for a moment."""
 
 
-class ProcessObserver(Protocol):
-    """What a feature may want to know of module processes; called from any thread, must return quickly."""
+class ProcessEvents:
+    """What happens to module processes; listeners are called from any thread and must return quickly.
 
-    def spawning(self) -> None:
-        """Another process is about to be started."""
-        ...
-
-    def observe(self, pid: int) -> None:
-        """The living process has proved that it works, or is about to be ended: look at it now."""
-        ...
-
-    def ended(self, pid: int, name: str) -> None:
-        """The process and all that it had started are dead; nobody was told yet."""
-        ...
-
-
-class ProcessObservers:
-    """Tells every observer; one that raises is logged and disturbs nobody."""
+    Attributes:
+        spawning: another process is about to be started.
+        seen: the living process of that pid has proved that it works, or is about to be ended: look at it now.
+        ended: the process of that pid and name, and all that it had started, are dead; nobody was told yet.
+    """
 
     def __init__(self) -> None:
-        self._observers: list[ProcessObserver] = []
-
-    def add(self, observer: ProcessObserver) -> None:
-        """Tell this one too from now on."""
-        self._observers.append(observer)
-
-    def tell(self, event: Callable[[ProcessObserver], None]) -> None:
-        """Call a method of every observer."""
-        for observer in self._observers:
-            try:
-                event(observer)
-            except Exception:  # the border to a feature's own code: processes are started and ended all the same
-                log.exception("An observer of processes failed.")
+        self.spawning: Event[[]] = Event()
+        self.seen: Event[[int]] = Event()
+        self.ended: Event[[int, str]] = Event()
 
 
 def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
@@ -88,7 +67,7 @@ class ModuleProcess:
     """A running child and, later, how it ended. Made by `spawn`; every method may be called from any thread."""
 
     def __init__(
-        self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int, observers: ProcessObservers
+        self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int, events: ProcessEvents
     ) -> None:
         self.name = name
         self.pid = child.pid
@@ -98,7 +77,7 @@ class ModuleProcess:
         self._log_offset = log_offset
         self._reaping = threading.Lock()
         self._exited = threading.Event()
-        self._observers = observers
+        self._events = events
         self._frozen = Lasting()
 
     @property
@@ -125,8 +104,8 @@ class ModuleProcess:
             file.write(f"{escaped(line)}\n")
 
     def show(self) -> None:
-        """Let observers look at it while it lives."""
-        self._observers.tell(lambda observer: observer.observe(self.pid))
+        """Have listeners look at it while it lives."""
+        self._events.seen.tell(self.pid)
 
     def beat(self) -> None:
         """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
@@ -187,7 +166,7 @@ class ModuleProcess:
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()
-            self._observers.tell(lambda observer: observer.ended(self.pid, self.name))
+            self._events.ended.tell(self.pid, self.name)
             self._exited.set()
             on_exit(self)
 
@@ -227,7 +206,7 @@ def spawn(
     environment: Mapping[str, str],
     first_line: str,
     log_path: Path,
-    observers: ProcessObservers,
+    events: ProcessEvents,
 ) -> ModuleProcess:
     """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to `log_path`.
 
@@ -236,7 +215,7 @@ def spawn(
     Raises:
         OSError: the command cannot be started.
     """
-    observers.tell(lambda observer: observer.spawning())
+    events.spawning.tell()
     make_log_directory(log_path.parent)
     with open(log_path, "ab", opener=opener) as output:
         offset = output.tell()
@@ -254,4 +233,4 @@ def spawn(
         child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
         child.stdin.flush()
     os.set_blocking(child.stdin.fileno(), False)
-    return ModuleProcess(name, child, log_path, offset, observers)
+    return ModuleProcess(name, child, log_path, offset, events)

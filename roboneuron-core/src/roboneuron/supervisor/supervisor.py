@@ -24,12 +24,8 @@ from roboneuron.supervisor.slot import Choice, Claim, Slot
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
-_LEAVE_S = 1.5
+LEAVE_S = 1.5
 """When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
-
-
-def _ignore(_: str) -> None:
-    """No listener."""
 
 
 class Supervisor:
@@ -42,7 +38,7 @@ class Supervisor:
         connect: as `Launcher`.
 
     Attributes:
-        observers: told of every module process.
+        process_events: what happens to module processes, for listeners.
         changes: told of all that happens to modules; its lock guards `slots`.
         slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
         on_join: functions of features that modules call with their node, as "module:attribute"; see `ModuleHost`.
@@ -54,7 +50,7 @@ class Supervisor:
         state_directory: Path,
         *,
         command: Command = module_command,
-        on_change: Callable[[ModuleKind], object] = _ignore,
+        on_change: Callable[[ModuleKind], object] = lambda kind: None,
         connect: Connect = Connection,
     ) -> None:
         self.state_directory = state_directory
@@ -62,7 +58,7 @@ class Supervisor:
         self.on_join: tuple[str, ...] = ()
         self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes, connect)
         self.log_directory = self._launcher.log_directory
-        self.observers = self._launcher.observers
+        self.process_events = self._launcher.process_events
         self.secret_variables = self._launcher.secret_variables
         self.on_change = on_change
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
@@ -95,7 +91,7 @@ class Supervisor:
         python: str | None = None,
         names: Mapping[str, str] | None = None,
         plan: Plan | None = None,
-        on_stage: Stage = _ignore,
+        on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> ModuleView:
         """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves nothing behind.
@@ -225,7 +221,7 @@ class Supervisor:
         """Stop everything, leave the ROS graph, end all threads; idempotent."""
         with self.changes.lock:
             self._closed = True
-        self.stop_all(_LEAVE_S)
+        self.stop_all(LEAVE_S)
         self._launcher.close()
 
     def _absent(self, kind: ModuleKind, plan: Plan | None) -> list[ModuleKind]:

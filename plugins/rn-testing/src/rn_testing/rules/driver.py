@@ -17,7 +17,7 @@ from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
 from roboneuron.contract import JointCommand, JointLimits, RobotDriver, RobotState
-from roboneuron.contract.motion import F64
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import InvalidInputError, RoboNeuronError
 from roboneuron.plugins.loading import load_options_model, load_target
 

@@ -13,7 +13,7 @@ from rn_testing.effects import wait_until
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.driver import arm_command, arm_limits, arm_position, driver_rule, opened, read_state
 from roboneuron.contract import JointCommand, RobotDriver
-from roboneuron.contract.motion import F64
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import RoboNeuronError
 
 HOLD_S = 0.3

@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from pydantic import BaseModel
 
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.restricted import unmarked_options
+from roboneuron.plugins.restricted import looks_restricted, marks
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+
+
+def unmarked_options(model: type[BaseModel]) -> list[str]:
+    """Options that look restricted and bear neither mark, those of its tables included, as `Model.option`."""
+    found, pending, seen = [], [model], {model}
+    while pending:
+        table = pending.pop(0)
+        for name, field in table.model_fields.items():
+            if looks_restricted(name, field) and not any(marks(field)):
+                found.append(f"{table.__name__}.{name}")
+            inner = [part for part in _tables(field.annotation) if part not in seen]
+            pending += inner
+            seen.update(inner)
+    return found
+
+
+def _tables(annotation: object) -> Iterator[type[BaseModel]]:
+    """The tables in a type, however deep."""
+    annotation = getattr(annotation, "__value__", annotation)  # a `type` statement of Python 3.12
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _tables(part)
 
 
 def _check_restricted_options(case: Case[Any]) -> None:

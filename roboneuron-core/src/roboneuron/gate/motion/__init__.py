@@ -1,24 +1,13 @@
 """Limits on how an arm moves, for the commands of control and for joint motions: pure computation, numpy only."""
 
-from __future__ import annotations
-
+# fmt: off
 from roboneuron.gate.motion.command import Verdict
 from roboneuron.gate.motion.limiter import MotionLimiter
 from roboneuron.gate.motion.path import Leg, LimitError, PathLimiter
-from roboneuron.gate.motion.rules import LIMITS, MotionRules, Zone, collision_of, inspector_of, motion_rules
+from roboneuron.gate.motion.rules import LIMITS, MotionRules, collision_of, inspector_of, motion_rules
 from roboneuron.gate.motion.task_space import Motion
 
 __all__ = [
-    "LIMITS",
-    "Leg",
-    "LimitError",
-    "Motion",
-    "MotionLimiter",
-    "MotionRules",
-    "PathLimiter",
-    "Verdict",
-    "Zone",
-    "collision_of",
-    "inspector_of",
-    "motion_rules",
+    "LIMITS", "Leg", "LimitError", "Motion", "MotionLimiter", "MotionRules", "PathLimiter", "Verdict", "collision_of",
+    "inspector_of", "motion_rules",
 ]

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import Hold, JointCommand, JointSample
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.task_space import Motion
-
-F64 = NDArray[np.float64]
 
 _FARTHEST = 1e4
 """No joint is farther than this [rad or m] from zero; numbers beyond it are damage."""

@@ -6,13 +6,9 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from roboneuron.contract import RobotProfile
+from roboneuron.contract.arrays import F64
 from roboneuron.gate.motion.rules import MotionRules
-
-F64 = NDArray[np.float64]
 
 SLACK = 1e-6
 """Relative: what rounding and decimals on the way may add to a limit."""

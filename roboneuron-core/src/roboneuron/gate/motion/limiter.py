@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import Setpoint, Step, Verdict, pick, pick_others
@@ -18,8 +18,6 @@ from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_lim
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import Motion, TaskSpace
-
-F64 = NDArray[np.float64]
 
 LOST, LOST_M = 0.1, 0.02
 """Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint counts as lost."""

@@ -10,14 +10,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import JointSample, Posture, RobotProfile
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import RefusedError, UnsafeError
 from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import TaskSpace
-
-F64 = NDArray[np.float64]
 
 MAX_POSTURES = 20_000
 """Longer paths are refused: checking them would take seconds."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from roboneuron.config import LimitsConfig, Reaction
 from roboneuron.contract import (
@@ -18,9 +18,8 @@ from roboneuron.contract import (
     PostureInspector,
     RobotProfile,
 )
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError
-
-F64 = NDArray[np.float64]
 
 LIMITS = (
     "position",
@@ -38,15 +37,6 @@ LIMITS = (
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Zone:
-    """A box in the base frame that the TCP must not enter; float64 (3,) [m]."""
-
-    name: str
-    lower_m: F64
-    upper_m: F64
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MotionRules:
     """Numbers and reactions; infinite where nothing is limited.
 
@@ -57,7 +47,7 @@ class MotionRules:
         max_speed_m_s, max_turn_rad_s: fastest motion of the TCP.
         lower_m, upper_m: workspace box of the TCP, float64 (3,), base frame.
         min_height_m: lowest z of the TCP, base frame.
-        zones: where it must not be.
+        zones: boxes that the TCP must not enter.
         min_singular_value: smallest allowed distance from a singularity.
     """
 
@@ -71,7 +61,7 @@ class MotionRules:
     lower_m: F64 = field(default_factory=lambda: np.full(3, -np.inf))
     upper_m: F64 = field(default_factory=lambda: np.full(3, np.inf))
     min_height_m: float = -np.inf
-    zones: tuple[Zone, ...] = ()
+    zones: tuple[Obstacle, ...] = ()
     min_singular_value: float = 0.0
 
 
@@ -126,9 +116,8 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
     if config.min_distance_m is not None:
         made = replace(made, min_distance_m=config.min_distance_m)
     if config.obstacles is not None:
-        boxes = [_box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles]
-        obstacles = tuple(Obstacle(name=b.name, lower_m=b.lower_m, upper_m=b.upper_m) for b in boxes)
-        made = replace(made, obstacles=obstacles)
+        boxes = tuple(_box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles)
+        made = replace(made, obstacles=boxes)
     return made
 
 
@@ -139,9 +128,9 @@ def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
     return lambda joints: Posture(pose=controller.forward(joints))
 
 
-def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Zone:
+def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Obstacle:
     """A box of `[limits]`; raises ConfigurationError for an empty one."""
-    box = Zone(name=name, lower_m=np.array(lower_m), upper_m=np.array(upper_m))
+    box = Obstacle(name=name, lower_m=np.array(lower_m), upper_m=np.array(upper_m))
     if not (box.lower_m < box.upper_m).all():
         ends = f"{box.lower_m.tolist()} to {box.upper_m.tolist()}"
         raise ConfigurationError(f"limits.{key}: {name!r} reaches from {ends} m, which is no box.")

@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from roboneuron.contract import Pose, Posture
+from roboneuron.contract import Obstacle, Pose, Posture
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.rules import MotionRules, Zone
-
-F64 = NDArray[np.float64]
+from roboneuron.gate.motion.rules import MotionRules
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,7 +132,7 @@ def _is_worse(end: float, start: float) -> bool:
     return end > 0.0 and end >= start
 
 
-def _breaks_zone(zone: Zone, start_m: F64, end_m: F64) -> bool:
+def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
     """Whether the line from one point (3,) to another touches the box, or starts in it and does not lead out."""
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:

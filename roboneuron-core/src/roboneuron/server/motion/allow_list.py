@@ -9,13 +9,12 @@ from functools import partial
 from typing import cast
 
 from roboneuron.config import Config, LimitsConfig
-from roboneuron.contract import Controller, JointSample, Posture, RobotProfile
+from roboneuron.contract import Controller, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
-from roboneuron.gate.motion import MotionLimiter, MotionRules, PathLimiter, collision_of, inspector_of, motion_rules
+from roboneuron.gate.motion import MotionRules, PathLimiter, collision_of, inspector_of, motion_rules
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.plugins.registry import Registry
-from roboneuron.server.events import Event
 from roboneuron.server.motion.exposed import (
     Exposed,
     action_endpoint,
@@ -24,6 +23,7 @@ from roboneuron.server.motion.exposed import (
     profile_endpoints,
     same_for_each_topic,
 )
+from roboneuron.supervisor.changes import Event
 
 _Key = tuple[str, str]
 
@@ -55,36 +55,18 @@ class ArmPaths:
         name = self._controller(robot)
         with self._lock:
             if (robot, name) not in self._made:
-                self._made[robot, name] = self._make(robot, name, profile)
+                controller, limited = self.load(robot, profile)
+                self._made[robot, name] = PathLimiter(self.rules(robot, profile), limited, inspector_of(controller))
             return self._made[robot, name]
 
-    def control(self, robot: str, profile: RobotProfile) -> tuple[Controller, MotionLimiter]:
-        """Controller and limits as control has them, for one user. Raises as `limiter`."""
-        controller, inspect, limited = self._load(robot, self._controller(robot), profile)
-        control = self._config.control
-        limiter = MotionLimiter(
-            self.rules(robot, profile),
-            limited,
-            controller.forward,
-            inspect,
-            immediate=control is not None and control.command == "joint_state",
-            longest_s=self._config.robot.server_timeout_s,
-        )
-        return controller, limiter
-
-    def _make(self, robot: str, name: str, profile: RobotProfile) -> PathLimiter:
-        _, inspect, limited = self._load(robot, name, profile)
-        return PathLimiter(self.rules(robot, profile), limited, inspect)
-
-    def _load(
-        self, robot: str, name: str, profile: RobotProfile
-    ) -> tuple[Controller, Callable[[JointSample], Posture], RobotProfile]:
-        """A controller of its own, what tells it of postures, and the profile with the collisions in force."""
+    def load(self, robot: str, profile: RobotProfile) -> tuple[Controller, RobotProfile]:
+        """A controller of an arm for one user, and the profile with the collisions in force. Raises as `limiter`."""
         limited = replace(profile, collision=collision_of(self._limits(robot), profile))
+        name = self._controller(robot)
         spec = self._registry().get("controller", name)
         controller = cast("Controller", build(spec, self._config.options(name), limited))
         controller.load()
-        return controller, inspector_of(controller), limited
+        return controller, limited
 
     def _limits(self, robot: str) -> LimitsConfig:
         return self._config.limits if robot == self._config.robot.name else LimitsConfig()
@@ -109,6 +91,7 @@ class AllowList:
     two features that expose one topic share every limit of both.
 
     Attributes:
+        exposed: what is in force; the action topic of an arm is among it, hidden.
         on_change: has a listener called after each change, from the thread that made it.
     """
 
@@ -125,14 +108,9 @@ class AllowList:
         self._lock = threading.RLock()
         self._by_owner: dict[str, tuple[Exposed, ...]] = {}
         self._instead: frozenset[str] = frozenset()
-        self._exposed: tuple[Exposed, ...] = ()
+        self.exposed: tuple[Exposed, ...] = ()
         self._changed: Event[[]] = Event()
         self.on_change = self._changed.listen
-
-    @property
-    def exposed(self) -> tuple[Exposed, ...]:
-        """What is in force; the action topic of an arm is among it, hidden."""
-        return self._exposed
 
     def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
         """Have these endpoints of an owner and no others of it.
@@ -157,11 +135,6 @@ class AllowList:
                 self._by_owner, self._instead = before
                 raise
         self._changed.tell()
-
-    def control_of(self, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
-        """See `ArmPaths.control`."""
-        assert exposed.profile is not None
-        return self._paths.control(exposed.robot, exposed.profile)
 
     def refresh(self) -> None:
         """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""
@@ -189,7 +162,7 @@ class AllowList:
         action = action_endpoint(arm) if arm is not None else None
         made = (*listed, action) if action is not None else tuple(listed)
         self._gate.replace(map(self._allowed, made))
-        self._exposed = made
+        self.exposed = made
 
     def _profile(self) -> list[Exposed]:
         config, registry = self._config(), self._registry()

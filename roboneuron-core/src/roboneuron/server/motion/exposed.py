@@ -96,13 +96,7 @@ class Exposed:
 def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) -> list[Exposed]:
     """The endpoints that a robot's profile offers; none without a profile."""
     return [
-        Exposed(
-            robot=robot,
-            namespace=namespace,
-            label=endpoint.name,
-            endpoint=endpoint,
-            profile=profile,
-        )
+        Exposed(robot=robot, namespace=namespace, label=endpoint.name, endpoint=endpoint, profile=profile)
         for endpoint in (profile.endpoints if profile is not None else ())
     ]
 

@@ -20,8 +20,6 @@ from roboneuron.server.motion.traffic import Traffic
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
-    from roboneuron.contract import Controller
-    from roboneuron.gate.motion import MotionLimiter
     from roboneuron.ros.link import Call
     from roboneuron.ros.writer import TopicWriter
 
@@ -42,6 +40,7 @@ class MotionGate:
         check, slowdown: see `Gate`; requests that send nothing, such as reading, are only checked.
         check_free, claim, end_motions: see `MotionArbiter`.
         newest_joints, joints: what is measured, see `Traffic`.
+        is_served, cancel_goal: services and actions, see `Traffic`.
     """
 
     def __init__(
@@ -55,6 +54,7 @@ class MotionGate:
         self.check, self.slowdown = gate.check, gate.slowdown
         self.check_free, self.claim, self.end_motions = arbiter.check_free, arbiter.claim, arbiter.end_all
         self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
+        self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
 
     @property
     def exposed(self) -> tuple[Exposed, ...]:
@@ -68,18 +68,6 @@ class MotionGate:
         except RefusedError as error:
             return Verdict(allowed=False, dry_run=True, reason=str(error), rule="ownership")
         return self._gate.check(request)
-
-    def control_of(self, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
-        """Controller and limits as control has them, to compute what it would make of actions; close the controller.
-
-        Raises:
-            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it.
-        """
-        return self._allow_list.control_of(exposed)
-
-    def is_served(self, exposed: Exposed) -> bool:
-        """Whether somebody serves the service or action, so that the answer comes; see `Traffic.is_served`."""
-        return self._traffic.is_served(exposed)
 
     def send_request(
         self, exposed: Exposed, request: GateRequest, on_answer: Callable[[], None]
@@ -146,10 +134,6 @@ class MotionGate:
         return verdict, client.send_goal_async(
             request.messages[0], feedback_callback=lambda message: on_feedback(message.feedback), goal_uuid=goal_id
         )
-
-    def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
-        """Ask the action to end a goal, by its id: also when the answer to the goal was lost. Returns at once."""
-        self._traffic.cancel_goal(exposed, goal_id)
 
     def publish_now(self, exposed: Exposed, request: GateRequest, *, stamped: bool = False) -> Sent | None:
         """As `publish`, without blocking; None when something has to be waited for first: then `publish` it."""

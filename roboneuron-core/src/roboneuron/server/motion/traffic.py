@@ -25,19 +25,19 @@ _SETTLE_S = 0.1
 
 
 class Traffic:
-    """Keeps what was made; usable from any thread. `link` may block for the second that joining the graph takes."""
+    """Keeps what was made; usable from any thread.
+
+    Attributes:
+        link: the open link; may block for the second that joining the graph takes, and raises as `Connection.link`.
+    """
 
     def __init__(self, link: Callable[[], RosLink]) -> None:
-        self._link = link
+        self.link = link
         self._lock = threading.Lock()
         self._writers: dict[tuple[str, str], TopicWriter] = {}
         self._actions: dict[tuple[str, str], Any] = {}
         self._settled: set[str] = set()
         self._joints: dict[str, NewestMessage] = {}
-
-    def link(self) -> RosLink:
-        """The open link; raises as `Connection.link`."""
-        return self._link()
 
     def known_writer(self, exposed: Exposed) -> TopicWriter | None:
         """The writer if there is one; never blocks."""
@@ -78,7 +78,10 @@ class Traffic:
             return self._actions[key]
 
     def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
-        """Ask the server of an action to end a goal; returns at once."""
+        """Ask the server of an action to end a goal, by its id: also when the answer to the goal was lost.
+
+        Returns at once.
+        """
         from action_msgs.msg import GoalInfo  # heavy
         from action_msgs.srv import CancelGoal  # heavy
 
