@@ -183,7 +183,7 @@ bench-tasks: $(VENV)/.develop ## outcomes of tasks against the simulator's truth
 	$(BIN)/python benchmarks/bench_tasks.py --workers $(JOBS) $(ARGS)
 	$(BIN)/python benchmarks/bench_start_all.py
 
-bench-fleet: $(VENV)/.develop ## 16 light bases behind one server: lost commands, fleet stop, one killed (ARGS="--minutes 1 --stops 20" for less)
+bench-fleet: $(VENV)/.develop ## 16 light bases behind one server: lost commands, fleet stop, one killed (ARGS="--minutes 1 --stops 20" for less, "--parts stops" for the stops alone)
 	$(BIN)/python benchmarks/bench_fleet.py $(ARGS)
 
 bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches against one at a time

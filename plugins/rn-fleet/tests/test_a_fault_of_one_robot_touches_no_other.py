@@ -84,8 +84,15 @@ def test_a_killed_robot_and_a_stopped_robot_leave_the_other_alone(tmp_path: Path
 
             await until(is_gone)
             assert (await robot("right"))["pid"] == before["pid"]
-            records = [path.name for path in (state / "robots" / "left" / "incidents").glob("*exited*")]
-            assert len(records) == 1
+
+            def records() -> list[str]:
+                return [path.name for path in (state / "robots" / "left" / "incidents").glob("*exited*.json")]
+
+            async def is_recorded() -> bool:
+                return bool(records())
+
+            await until(is_recorded)  # it is written after the status says so
+            assert len(records()) == 1
             assert not list((state / "robots" / "right").glob("incidents/*exited*"))
             await call("start_robot", robot="left")
 

@@ -64,9 +64,18 @@ class PageClient:
 
     def press(self, label: str) -> None:
         """Press a button."""
+        self.choose(label, True)
+
+    def choose(self, label: str, value: object) -> None:
+        """Give an element a value."""
         uuid = next(uuid for uuid, props in self._snapshot() if props.get("label") == label)
-        message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": True}}
+        message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
         self._socket.send(msgspec.msgpack.encode(message))
+
+    @property
+    def labels(self) -> set[str]:
+        """Labels of what is on the page."""
+        return {str(props.get("label")) for _, props in self._snapshot()}
 
     def _snapshot(self) -> list[tuple[str, dict[str, Any]]]:
         return list(self._elements.items())
@@ -88,6 +97,8 @@ class PageClient:
             return
         if "props" in message:
             self._elements[uuid] = {"type": message["type"], **message["props"]}
+        elif message["type"] == "GuiRemoveMessage":
+            self._elements.pop(uuid, None)
         elif message["type"] == "GuiUpdateMessage":
             props = self._elements.setdefault(uuid, {"type": ""})
             props.update(message["updates"])

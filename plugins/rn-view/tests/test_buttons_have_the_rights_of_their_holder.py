@@ -11,7 +11,7 @@ from rn_serve_http.plugin import FEATURE as HTTP
 from rn_testing.fakes import fake_registry
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.plugin import FEATURE
-from rn_view_attached.source import AttachedSource
+from rn_view_attached.source import AttachedSource, Graph
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.access import Holder
@@ -75,7 +75,8 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
 
 def test_the_stop_of_a_view_beside_a_server_is_the_servers(application):
     config = application.loop.config
-    source = AttachedSource(config, application.plugins.current(), application.supervisor.state_directory)
+    directory = application.supervisor.state_directory
+    source = AttachedSource(config, application.plugins.current(), directory, Graph(directory))
     source.press_stop("a visitor")
     assert application.loop.emergency_stop.is_latched()
     assert "a visitor" in application.loop.emergency_stop.cause()

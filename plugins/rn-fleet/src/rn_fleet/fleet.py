@@ -10,7 +10,6 @@ import logging
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from rn_fleet.tools import FleetTools
 from roboneuron.config import Config, robot_folder
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
-from roboneuron.gate.estop import EmergencyStopLatch
+from roboneuron.gate.estop import EmergencyStopLatch, press_together
 from roboneuron.log_files import make_log_directory
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.app import INSTRUCTIONS, Application
@@ -131,10 +130,8 @@ class Fleet:
             await robot.settle()
 
     def press(self, who: str, reason: str) -> None:
-        """Latch the emergency stop of all robots without waiting for anything."""
-        for robot in self.robots.values():
-            with suppress(UnsafeError):  # told by `latch`
-                robot.loop.emergency_stop.file.press(who=who, reason=reason)
+        """Latch the emergency stop of all robots without waiting for anything; what fails is told by `latch`."""
+        press_together([robot.loop.emergency_stop.file for robot in self.robots.values()], who=who, reason=reason)
 
     def latch(self, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion of all robots; returns which modules confirmed it, and after how many seconds.

@@ -80,11 +80,14 @@ class FleetTools(ToolRegistry):
 
     async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
         """Have the named robot do it; every failure is an MCP error result."""
-        self._on_client(context.who)
         robot = arguments.get("robot")
         is_known = isinstance(robot, str) and robot in self._robots
         if self.get(name) is not None and not is_known:
-            return await super().call(name, arguments, context)
+            try:
+                return await super().call(name, arguments, context)
+            finally:  # a stop comes before leases
+                self._on_client(context.who)
+        self._on_client(context.who)
         try:
             chosen = self._choose(name, robot)
         except RoboNeuronError as error:

@@ -22,6 +22,7 @@ from rn_tasks.predicates import ADAPTER
 from rn_tasks.prompts import offer_prompts
 from rn_tasks.run_task import TaskTool, run_task_tool
 from rn_tasks.runner import TaskEnd
+from rn_tasks.task_calls import TaskCalls
 from roboneuron import matrix_from_quaternion
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError
@@ -84,6 +85,7 @@ class TasksFeature(Feature[TasksSections]):
     def attach(self, host: Host) -> None:
         """See `Feature.attach`."""
         offer_prompts(host.server)
+        host.server.middleware.insert(1, TaskCalls())  # around those of other features: they see the call itself
 
     def start(self, host: Host) -> None:
         """See `Feature.start`."""

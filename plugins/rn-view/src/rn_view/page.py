@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any, Protocol
@@ -57,15 +57,18 @@ class Page:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, source: Source, operator: Operator | None,
-        admit: Callable[[str], Holder | None],
+        self, client: viser.ClientHandle, sources: Mapping[str, Source], operator: Operator | None,
+        admit: Callable[[str], Holder | None], on_choice: Callable[[Page], object],
     ) -> None:  # fmt: skip
         """Args:
+        sources: what can be shown by the robot's name, the first one first; of several one is chosen.
         admit: whose token a text is; None for nobody's.
+        on_choice: called when another robot was chosen.
         """
         self.client = client
         self.holder: Holder | None = None
-        self._source = source
+        self._sources = sources
+        self._source = next(iter(sources.values()))
         self._operator = operator
         self._admit = admit
         self._lock = threading.Lock()
@@ -76,10 +79,21 @@ class Page:
         self._presence = ExitStack()
         self._stop_text: Any = None
         client.gui.add_html(markup.STYLE)
-        if source.playback is None:
+        self._choice: Any = None
+        if len(sources) > 1:
+            self._choice = client.gui.add_dropdown("Robot", tuple(sources), initial_value=next(iter(sources)))
+            self._choice.on_update(lambda _: on_choice(self))
+        if self._source.playback is None:
             button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
             button.on_click(lambda _: self._press_stop())
-            self._stop_text = client.gui.add_html(markup.stop_text(None, source.label))
+            self._stop_text = client.gui.add_html(markup.stop_text(None, self._source.label))
+
+    @property
+    def robot(self) -> str:
+        """The robot that the page says it shows, which is the one that its emergency stop stops."""
+        first = next(iter(self._sources))
+        chosen = first if self._choice is None else str(self._choice.value)
+        return chosen if chosen in self._sources else first
 
     @property
     def is_admitted(self) -> bool:
@@ -117,27 +131,37 @@ class Page:
         with self._lock:
             self._content = _Content(self.client, self._source, profile, history, buttons)
 
-    def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
-        """Show the state: a few times a second."""
+    def change(self) -> None:
+        """Take away what is shown of the robot before; `show` shows the one that was chosen."""
         with self._lock:
-            if self._is_gone:
+            content, self._content = self._content, None
+            self._source = self._sources[self.robot]
+            if self._stop_text is not None:
+                self._stop_text.content = markup.stop_text(None, self._source.label)
+            if content is not None:
+                content.remove()
+
+    def update_state(self, source: Source, snapshot: Snapshot, measured: Measured) -> None:
+        """Show the state of `source`, unless the page shows another by now: a few times a second."""
+        with self._lock:
+            if self._is_gone or source is not self._source:
                 return
             if self._stop_text is not None:
                 self._stop_text.content = markup.stop_text(snapshot, self._source.label)
             if self._content is not None:
                 self._content.update_state(snapshot, measured)
 
-    def update_motion(self, measured: Measured) -> None:
-        """Show what moves: many times a second."""
+    def update_motion(self, source: Source, measured: Measured) -> None:
+        """As `update_state`, what moves: many times a second."""
         with self._lock:
-            if self._content is not None and not self._is_gone:
+            if self._content is not None and not self._is_gone and source is self._source:
                 with self.client.atomic():
                     self._content.scene.update(measured)
 
-    def show_picture(self, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
-        """Show a camera's picture."""
+    def show_picture(self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
+        """As `update_state`, a camera's picture."""
         with self._lock:
-            if self._content is not None and not self._is_gone:
+            if self._content is not None and not self._is_gone and source is self._source:
                 self._content.show_picture(camera, pixels, in_scene=in_scene)
                 self.client.flush()
 
@@ -154,12 +178,13 @@ class Page:
 
     def _press_stop(self) -> None:
         who = self.holder.who if self.holder is not None else f"a view without a token ({self.client.client_id})"
+        robot = self.robot
+        what = f"Emergency stop of {robot}" if self._choice is not None else "Emergency stop"
         try:
-            told = self._source.press_stop(who)
-            self.tell("Emergency stop", told, is_bad=False)
+            self.tell(what, self._sources[robot].press_stop(who), is_bad=False)
         except RoboNeuronError as error:
             log.error("%s", error)
-            self.tell("Emergency stop", str(error), is_bad=True)
+            self.tell(what, str(error), is_bad=True)
 
     def _call(self, tool: str, arguments: dict[str, Any]) -> None:
         assert self._operator is not None
@@ -185,13 +210,16 @@ class _Content:
         self._history = history
         self._gui = gui
         self._player = Player(gui, source.playback) if source.playback is not None else None
+        self._client = client
         self._instruction = gui.add_html("")
         if call is not None:
             self._add_buttons(call)
         self._modules = gui.add_html("")
-        with gui.add_folder("What happened"):
+        folder = gui.add_folder("What happened")
+        with folder:
             self._list = gui.add_html("")
         left = gui.add_panel()
+        self._parts = (self._instruction, self._modules, folder, left)
         with left.add_tab("Cameras"):
             self._images = {
                 camera.name: gui.add_image(
@@ -212,6 +240,12 @@ class _Content:
         left.set_width(_LEFT_PX)
         self.scene = Scene(client, profile, source.config())
         self._count = -1
+
+    def remove(self) -> None:
+        """Take it off the page: of a robot among several, which has neither buttons nor a player."""
+        for part in self._parts:
+            part.remove()
+        self._client.scene.reset()
 
     def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
         if self._player is not None:

@@ -1,4 +1,4 @@
-"""The web server with all its pages; topics are subscribed to only while somebody looks."""
+"""The web server with all its pages."""
 
 from __future__ import annotations
 
@@ -6,26 +6,20 @@ import contextlib
 import io
 import logging
 import threading
-import time
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from rn_view.access import Admission, check_address
 from rn_view.measured import Measured
 from rn_view.options import ViewOptions
 from rn_view.page import Operator, Page
-from rn_view.plots import History
+from rn_view.showing import Showing
 from rn_view.source import Source
-from roboneuron import RoboNeuronError, RobotProfile
-from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)
 TITLE = "RoboNeuron"
-_MOTION_S, _STATE_S, _SCENE_PICTURE_S, _IDLE_S = 1 / 25, 0.25, 0.5, 0.5
-_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 320, 640
 _POLICY_VIOLATION = 1008
 """Why a connection is closed. Source: RFC 6455, section 7.4.1."""
 
@@ -43,30 +37,32 @@ class Viewer:
 
     Args:
         options: where, how fast and to how many.
-        source: what is shown.
+        source: what is shown; of several robots by their names, and each page has a choice.
         admission: who may look.
-        operator: calls tools for the buttons; None for a view without.
+        operator: calls tools for the buttons; None for a view without, such as one of several robots.
     """
 
-    def __init__(self, options: ViewOptions, source: Source, admission: Admission, operator: Operator | None) -> None:
+    def __init__(
+        self,
+        options: ViewOptions,
+        source: Source | Mapping[str, Source],
+        admission: Admission,
+        operator: Operator | None,
+    ) -> None:
         self._options = options
-        self._source = source
+        self._sources = source if isinstance(source, Mapping) else {"": source}
         self._admission = admission
         self._operator = operator
         self._lock = threading.RLock()
         self._pages: dict[int, Page] = {}
         self._server: _Server | None = None
-        self._profile: RobotProfile | None = None
-        self._place: tuple[str, str] = ("", "")
-        self.measured: Measured | None = None
-        """None while nobody looks: nothing is subscribed to then."""
-        self._history = History()
-        self._shown: dict[str, tuple[int, float, float]] = {}
-        self._is_closing = threading.Event()
-        self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
-        self._state = Periodic("view-state", _STATE_S, self._show_state)
-        self._pictures = threading.Thread(target=self._show_pictures, name="view-pictures", daemon=True)
-        self._looks = threading.Event()
+        self._showings = {name: Showing(one, options.image_hz, self._begin_anew) for name, one in self._sources.items()}
+        self._shown: dict[Page, str] = {}
+
+    @property
+    def measured(self) -> Measured | None:
+        """What is measured of the first robot; None while nobody looks at it: nothing is subscribed to then."""
+        return next(iter(self._showings.values())).measured
 
     @property
     def url(self) -> str:
@@ -92,23 +88,29 @@ class Viewer:
         self._server._websock_server.on_client_connect(self._check_connection)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
-        for thread in (self._motion, self._state, self._pictures):
-            thread.start()
+        for showing in self._showings.values():
+            showing.start()
         log.info("The live view is at %s.", self.url)
 
     def close(self) -> None:
         """End everything; idempotent."""
-        self._is_closing.set()
-        self._looks.set()
-        self._motion.close()
-        self._state.close()
+        for showing in self._showings.values():
+            showing.close()
         server, self._server = self._server, None
         if server is not None:
             with contextlib.redirect_stdout(io.StringIO()):
                 server.stop()
         with self._lock:
             self._pages.clear()
-            self._stop_looking()
+            self._shown.clear()
+        for showing in self._showings.values():  # again: a page may have come meanwhile
+            showing.close()
+
+    def _begin_anew(self) -> None:
+        """Another robot runs: every page begins anew."""
+        server = self._server
+        if server is not None:
+            server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
         """Close a connection that comes from another web page, or that is one too many, before anything is sent."""
@@ -124,128 +126,44 @@ class Viewer:
             await found.close(_POLICY_VIOLATION, "Too many pages are open.")
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
-        page = Page(client, self._source, self._operator, self._admission.tokens.find)
+        page = Page(client, self._sources, self._operator, self._admission.tokens.find, self._choose)
         page.holder = self._admission.visitor(client.client_id)
         with self._lock:
             self._pages[client.client_id] = page
+            self._shown[page] = page.robot
+            self._showings[page.robot].add(page)
+        self._begin(page)
+
+    def _begin(self, page: Page) -> None:
+        """Show everything to a page whose holder is known; ask the others."""
         if page.holder is not None:
             self._admit(page)
         else:
             page.ask_token(lambda: self._admit(page))
 
     def _admit(self, page: Page) -> None:
-        """Show everything to a page whose holder is known; the first one makes us look."""
-        try:
-            with self._lock:
-                if self.measured is None:
-                    self._start_looking()
-                assert self._profile is not None
-                page.show(self._profile, self._history)
-                self._shown = {}  # it gets the pictures that are there, also if no others come
-        except RoboNeuronError as error:
-            log.error("The view cannot show the robot: %s", error)
-            page.tell("The robot cannot be shown", str(error), is_bad=True)
+        with self._lock:
+            robot = self._shown.get(page)
+        if robot is not None:
+            self._showings[robot].admit(page)
+
+    def _choose(self, page: Page) -> None:
+        """The page is to show another robot."""
+        with self._lock:
+            before, robot = self._shown.get(page), page.robot
+            if before is None or robot == before:
+                return
+            self._shown[page] = robot
+            page.change()
+            self._showings[before].remove(page)
+            self._showings[robot].add(page)
+            if page.holder is not None:
+                self._showings[robot].admit(page)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
             page = self._pages.pop(client.client_id, None)
-            if not any(other.is_admitted for other in self._pages.values()):
-                self._stop_looking()
-        if page is not None:
+            robot = self._shown.pop(page, None) if page is not None else None
+        if page is not None and robot is not None:
+            self._showings[robot].remove(page)
             page.leave()
-
-    def _start_looking(self) -> None:
-        self._profile = self._source.profile()
-        config = self._source.config()
-        self._place = (config.robot.name, config.namespace)
-        measured = Measured(self._source, self._profile)
-        try:
-            measured.open()
-        except RoboNeuronError:
-            measured.close()
-            raise
-        self._shown = {}
-        self.measured = measured
-        self._looks.set()
-
-    def _stop_looking(self) -> None:
-        self._looks.clear()
-        measured, self.measured = self.measured, None
-        if measured is not None:
-            measured.close()
-
-    def _show_motion(self) -> None:
-        measured = self.measured
-        if measured is None:
-            self._looks.wait(_IDLE_S)
-            return
-        for page in self._all_pages():
-            page.update_motion(measured)
-
-    def _show_state(self) -> None:
-        measured = self.measured
-        if measured is None:
-            self._looks.wait(_IDLE_S)
-            return
-        config = self._source.config()
-        if (config.robot.name, config.namespace) != self._place:  # another robot: every page begins anew
-            with self._lock:
-                self._stop_looking()
-                server = self._server
-            if server is not None:
-                server._websock_server.disconnect_all_clients()
-            return
-        self._source.look()
-        snapshot = self._source.snapshot()
-        self._history.add(snapshot, self._source.now_s())
-        for page in self._all_pages():
-            page.update_state(snapshot, measured)
-
-    def _show_pictures(self) -> None:
-        while not self._is_closing.is_set():
-            measured = self.measured
-            if measured is None:
-                self._looks.wait(_IDLE_S)
-                continue
-            with measured.news:
-                if not self._due(measured):
-                    measured.news.wait(_STATE_S)
-            for camera in self._due(measured):
-                try:
-                    self._show_picture(measured, camera)
-                except Exception:  # the border to a page that is just going away
-                    log.exception("A picture of %s could not be shown.", camera)
-
-    def _due(self, measured: Measured) -> list[str]:
-        """Cameras with a picture that is new and not too soon after the one before."""
-        now_s = time.monotonic()
-        return [
-            camera
-            for camera, (number, _, _) in list(measured.images.items())
-            if camera not in self._shown
-            or (self._shown[camera][0] != number and now_s - self._shown[camera][1] >= 0.9 / self._options.image_hz)
-        ]
-
-    def _show_picture(self, measured: Measured, camera: str) -> None:
-        number, pixels, _ = measured.images[camera]
-        now_s = time.monotonic()
-        before_s = self._shown[camera][2] if camera in self._shown else 0.0
-        in_scene = now_s - before_s >= _SCENE_PICTURE_S
-        self._shown[camera] = (number, now_s, now_s if in_scene else before_s)
-        fitting = fitted(pixels)
-        for page in self._all_pages():
-            page.show_picture(camera, fitting, in_scene=in_scene)
-
-    def _all_pages(self) -> list[Page]:
-        with self._lock:
-            return list(self._pages.values())
-
-
-def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture of a width that fits the panel: whole numbers of pixels are repeated or left out."""
-    width = pixels.shape[1]
-    if width > _MOST_WIDTH_PX:
-        step = -(-width // _MOST_WIDTH_PX)
-        return np.ascontiguousarray(pixels[::step, ::step])
-    times = -(-_LEAST_WIDTH_PX // width)
-    return pixels if times == 1 else pixels.repeat(times, axis=0).repeat(times, axis=1)

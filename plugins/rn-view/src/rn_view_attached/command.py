@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from roboneuron import ConfigurationError, MissingDependencyError
 
 if TYPE_CHECKING:
-    from rn_view_attached.source import AttachedSource
+    from rn_view_attached.source import AttachedSource, Graph
     from rn_view_recorded.source import RecordedSource
     from roboneuron.config import Config
     from roboneuron.plugins.registry import Registry
@@ -22,7 +22,8 @@ class View:
 
     The server needs not know of it, and nothing is published. The page has the emergency stop, which works as
     `roboneuron estop` does, and no other button; those are on the page of a server with `[view] enabled = true`. Give
-    the configuration that the server was started with: it names the robot, its namespace and the state directory.
+    the configuration that the server was started with: it names the robot, its namespace and the state directory. Of
+    several robots each page shows the one that is chosen there, and its emergency stop is that robot's.
 
     With --run the page plays what rn-recorder has recorded, with a slider for the time. No robot and no ROS are needed.
     """
@@ -31,7 +32,7 @@ class View:
         """Add the arguments of `roboneuron view`."""
         parser.add_argument("--config", type=Path, metavar="FILE", help="the server's roboneuron.toml")
         parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another")
-        parser.add_argument("--robot", metavar="NAME", help="which one of several robots")
+        parser.add_argument("--robot", metavar="NAME", help="this one of several robots only")
         parser.add_argument("--run", help='play a recording: its id, "latest", or a path of MCAP files')
         parser.add_argument("--directory", type=Path, help="with --run: the directory of runs itself")
         parser.add_argument("--host", help="address to listen on; `view.host` without it")
@@ -51,59 +52,76 @@ class View:
         from roboneuron.config import feature_options, load_config
         from roboneuron.plugins.discovery import discover
 
-        config, folder = _chosen(load_config(arguments.config), arguments.robot)
+        config = load_config(arguments.config)
+        robots = _chosen(config, arguments.robot)
+        if arguments.robot is not None:
+            config = robots[arguments.robot]
         options, http = feature_options(FEATURE, config), feature_options(HTTP, config)
         assert isinstance(options, ViewOptions)
         assert isinstance(http, HttpOptions)
         given = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
         options = ViewOptions.model_validate({**options.model_dump(), **given})
         admission = Admission(tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http))
-        source = _source(arguments, config, discover(config.disabled_plugins), folder)
+        source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
         viewer = Viewer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            source.open()
+            graph.open()
             try:
                 viewer.open()
                 print(f"The view is at {viewer.url}; Ctrl-C ends it.", file=sys.stderr, flush=True)
                 signal.pause()
             finally:
                 viewer.close()
-                source.close()
+                graph.close()
         except KeyboardInterrupt:
             pass
         return 0
 
 
-def _chosen(config: Config, robot: str | None) -> tuple[Config, str]:
-    """The configuration of the robot to show, and its folder in the state directory; "" for a server's only robot.
+def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
+    """The configurations of the robots to show by their names; "" for a server's only robot.
 
     Raises:
-        ConfigurationError: there is none of that name, or there are several and none is named.
+        ConfigurationError: there is none of that name.
     """
-    if robot is None and not config.robots:
-        return config, ""
-    if robot is None or robot not in config.robots:
+    if robot is None:
+        return config.robots or {"": config}
+    if robot not in config.robots:
         known = ", ".join(config.robots) or "none: the configuration has no [robots.<name>]"
-        what = "Several robots can be shown." if robot is None else f"There is no robot {robot[:80]!r}."
-        raise ConfigurationError(what, hint=f"--robot names one of: {known}.")
+        raise ConfigurationError(f"There is no robot {robot[:80]!r}.", hint=f"--robot names one of: {known}.")
+    return {robot: config.robots[robot]}
+
+
+def _sources(
+    arguments: Namespace, robots: dict[str, Config], registry: Registry
+) -> tuple[dict[str, AttachedSource] | RecordedSource, Graph | RecordedSource]:
+    """What the pages show, and what is to be opened before and closed after that."""
+    config = next(iter(robots.values()))
+    if arguments.run is not None:
+        if len(robots) > 1:
+            known = ", ".join(robots)
+            raise ConfigurationError("A recording is of one robot.", hint=f"--robot names one of: {known}.")
+        recorded = _recorded(arguments, config, registry)
+        return recorded, recorded
+    if arguments.directory is not None:
+        raise ConfigurationError("--directory goes with --run.", hint="--state names a server's state directory.")
+    from rn_view_attached.source import AttachedSource, Graph
     from roboneuron.config import robot_folder
+    from roboneuron.ros.environment import state_directory
 
-    return config.robots[robot], str(robot_folder(Path(), robot))
+    directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
+    graph = Graph(directory)
+    if "" in robots:
+        return {"": AttachedSource(config, registry, directory, graph)}, graph
+    return {
+        name: AttachedSource(one, registry, robot_folder(directory, name), graph, is_one_of_several=True)
+        for name, one in robots.items()
+    }, graph
 
 
-def _source(
-    arguments: Namespace, config: Config, registry: Registry, folder: str = ""
-) -> AttachedSource | RecordedSource:
-    """What the page shows."""
-    if arguments.run is None:
-        if arguments.directory is not None:
-            raise ConfigurationError("--directory goes with --run.", hint="--state names a server's state directory.")
-        from rn_view_attached.source import AttachedSource
-        from roboneuron.ros.environment import state_directory
-
-        directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
-        return AttachedSource(config, registry, directory / folder)
+def _recorded(arguments: Namespace, config: Config, registry: Registry) -> RecordedSource:
+    """A run of the recorder."""
     try:
         from rn_runs.command import find_run, open_store
     except ImportError as error:

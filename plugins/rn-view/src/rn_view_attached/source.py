@@ -26,39 +26,61 @@ M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
 
 
+class Graph:
+    """The view's place in the ROS graph, one for all robots; `open` joins it.
+
+    Args:
+        state_directory: of the server that is looked at.
+    """
+
+    def __init__(self, state_directory: Path) -> None:
+        self.diagnostics = DiagnosticsListener(state_directory)
+
+    def open(self) -> None:
+        """Join; raises as `roboneuron.ros.environment.prepare_environment`."""
+        self.diagnostics.open()
+        from roboneuron.ros.link import RosLink  # heavy
+
+        self.link = RosLink(f"roboneuron_view_{os.getpid()}")
+        self.link.open()
+
+    def close(self) -> None:
+        """Leave."""
+        self.link.close()
+        self.diagnostics.close()
+
+
 class AttachedSource:
     """Source of a view in a process of its own. It publishes nothing; its stop is the file that every module looks at.
 
     Args:
         config: of the server that is looked at.
         registry: the plugins installed here; the robot's must be among them.
-        state_directory: of that server.
+        state_directory: of that server; with several robots the folder of this one.
+        graph: open as long as somebody looks; whoever made it opens and closes it.
+        is_one_of_several: what other robots report is not of this one.
     """
 
     label = "attached"
     playback = None
 
-    def __init__(self, config: Config, registry: Registry, state_directory: Path) -> None:
+    def __init__(
+        self,
+        config: Config,
+        registry: Registry,
+        state_directory: Path,
+        graph: Graph,
+        *,
+        is_one_of_several: bool = False,
+    ) -> None:
         self._config = config
         self._registry = registry
         self._state_directory = state_directory
-        self._diagnostics = DiagnosticsListener(state_directory)
+        self._graph = graph
+        self._is_one_of_several = is_one_of_several
         self._audit = AuditTail(state_directory / AUDIT_NAME)
         self._healths: dict[str, str] = {}
         self.happenings = Happenings()
-
-    def open(self) -> None:
-        """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
-        self._diagnostics.open()
-        from roboneuron.ros.link import RosLink  # heavy
-
-        self._link = RosLink(f"roboneuron_view_{os.getpid()}")
-        self._link.open()
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._link.close()
-        self._diagnostics.close()
 
     def now_s(self) -> float:
         """See Source."""
@@ -74,8 +96,7 @@ class AttachedSource:
 
     def snapshot(self) -> Snapshot:
         """See Source."""
-        status = self._status()
-        modules = {module.module: module for module in status.modules}
+        modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
         rows = tuple(_row(kind, modules.get(kind)) for kind in _ORDER)
         for row in rows:
@@ -84,10 +105,11 @@ class AttachedSource:
                 text = f"{row.kind}: {row.health} (was {before})"
                 self.happenings.add("health", text, is_bad=row.health in FAULTS)
             self._healths[row.kind] = row.health
+        latch = EmergencyStopLatch(self._state_directory / LATCH_NAME, time.time_ns).read_state()
         return Snapshot(
             modules=rows,
-            is_latched=status.emergency_stop,
-            cause=status.emergency_stop_cause,
+            is_latched=latch.latched,
+            cause=latch.cause,
             instruction=inference.instruction if inference is not None else "",
         )
 
@@ -101,8 +123,9 @@ class AttachedSource:
         from roboneuron.ros.qos import requested_qos  # heavy
 
         place = f"/{self._config.namespace}/{topic}"
-        qos = requested_qos(self._link.node.get_publishers_info_by_topic(place), 1)
-        return self._link.subscribe(message_type, place, callback, qos)
+        link = self._graph.link
+        qos = requested_qos(link.node.get_publishers_info_by_topic(place), 1)
+        return link.subscribe(message_type, place, callback, qos)
 
     def press_stop(self, who: str) -> str:
         """See Source: written as `roboneuron estop` does."""
@@ -112,9 +135,11 @@ class AttachedSource:
         audit.close()
         return "Latched in the file that every module looks at 50 times a second."
 
-    def _status(self) -> ServerStatus:
-        found = self._diagnostics.read_status()
-        return next((status for status in found if status.namespace == self._config.namespace), found[0])
+    def _modules(self) -> tuple[ModuleStatus, ...]:
+        """Those of the robot; a server of one robot may run another one than the configuration names."""
+        found = self._graph.diagnostics.read_status()
+        own = [status for status in found if status.namespace == self._config.namespace]
+        return (own or ([] if self._is_one_of_several else found) or [ServerStatus()])[0].modules
 
 
 def _row(kind: str, module: ModuleStatus | None) -> ModuleRow:

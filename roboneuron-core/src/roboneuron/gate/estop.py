@@ -16,7 +16,7 @@ import os
 import stat
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -77,14 +77,19 @@ class EmergencyStopLatch:
         self._seen: tuple[int, int] | None = None  # device and inode of the newest file that was seen
         self._tried_s = -_AGAIN_S
         self._lock = threading.Lock()
-        self._listeners: list[Callable[[], object]] = []
+        self._stopping: list[Callable[[], object]] = []
+        self._telling: list[Callable[[], object]] = []
 
     def on_press(self, listener: Callable[[], object]) -> None:
-        """Have `listener` called when this process presses the stop, before anything is written.
+        """Have `listener` called when this process presses the stop, before anything is written or woken.
 
-        It runs on the pressing thread, must return at once and must not raise: it wakes what moves.
+        It runs on the pressing thread, must return at once and must not raise: it sends what stops a robot.
         """
-        self._listeners.append(listener)
+        self._stopping.append(listener)
+
+    def on_pressed(self, listener: Callable[[], object]) -> None:
+        """As `on_press`, once the file is written, or could not be: it tells others and wakes threads."""
+        self._telling.append(listener)
 
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
@@ -181,15 +186,21 @@ class EmergencyStopLatch:
         Raises:
             UnsafeError: the file cannot be created: only this process is stopped, the others do not know.
         """
+        failures = press_together([self], who=who, reason=reason)
+        if failures:
+            raise failures[0]
+        return self.read_state()
+
+    def _hold(self, state: LatchState) -> bool:
+        """Stop this process at once, whatever the disk says; False when the file is known to be there already."""
         with self._lock:
-            is_written = self._look() and self._seen is not None
-        if is_written:
-            return self.read_state()
-        state = LatchState(latched=True, who=who[:200], reason=reason[:500], time_ns=self._clock_ns())
-        with self._lock:
-            self._held, self._tried_s = state, self._clock_s()  # this process stops at once, whatever the disk says
-        for listener in self._listeners:
-            listener()
+            if self._held is not None and self._look() and self._seen is not None:
+                return False
+            self._held, self._tried_s = state, self._clock_s()
+        return True
+
+    def _write(self, state: LatchState) -> None:
+        """Stop the other processes. Raises UnsafeError when the file cannot be created."""
         try:
             self._create(state)
         except OSError as error:
@@ -197,7 +208,6 @@ class EmergencyStopLatch:
                 f"The emergency stop cannot be written to {self.path}: {error.strerror}; only this process is stopped.",
                 hint="Use the robot's own stop.",
             ) from error
-        return state
 
     def _create(self, state: LatchState) -> None:
         """Make the file with its cause; the latch holds without it, and the cause that came first is kept."""
@@ -247,6 +257,32 @@ class EmergencyStopLatch:
                 text = f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
                 raise StateError(text) from error
             self._held = self._seen = None
+
+
+def press_together(latches: Iterable[EmergencyStopLatch], *, who: str, reason: str) -> list[UnsafeError]:
+    """`EmergencyStopLatch.press` of all of them, each step for all before the next; returns what failed.
+
+    What stops the last robot is sent before the first file is written, and every file is written before a thread is
+    woken: each system call gives the interpreter away, and woken threads keep it for up to a millisecond each time.
+    """
+    pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
+    failures: list[UnsafeError] = []
+    for latch in latches:
+        state = LatchState(latched=True, who=who[:200], reason=reason[:500], time_ns=latch._clock_ns())
+        if latch._hold(state):
+            pressed.append((latch, state))
+    for latch, _ in pressed:
+        for listener in latch._stopping:
+            listener()
+    for latch, state in pressed:
+        try:
+            latch._write(state)
+        except UnsafeError as error:  # the others are written all the same
+            failures.append(error)
+    for latch, _ in pressed:
+        for listener in latch._telling:
+            listener()
+    return failures
 
 
 def _identity(path: Path) -> tuple[int, int]:

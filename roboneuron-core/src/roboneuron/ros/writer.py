@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 RCLError = rclpy_implementation.RCLError
+UNSENT = (RCLError, InvalidHandle)
+"""What publishing raises when the context is closed."""
 _POLL_S = 0.005
 _SETTLE_S = 0.03
 """After the first match: until the other side has matched too, a volatile message would be lost there."""
@@ -77,7 +79,7 @@ class TopicWriter:
         publisher = self._publisher
         if publisher is None:
             return
-        with suppress(RCLError, InvalidHandle):
+        with suppress(*UNSENT):
             publisher.publish(message)
 
     def _subscriptions(self) -> list[Any]:

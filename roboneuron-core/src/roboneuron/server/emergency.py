@@ -12,9 +12,9 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
 
 from roboneuron.errors import NotReadyError, UnsafeError
 from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
@@ -69,9 +69,10 @@ class EmergencyStop:
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
         self._lock = threading.Lock()
-        self._publishers: dict[str, Callable[[Any], None]] = {}
+        self._publishers: dict[str, Callable[[bool], None]] = {}
         self._restored = 0
         self.file = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
+        self.file.on_pressed(lambda: self._publish(True))
         self.audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
 
     def is_latched(self) -> bool:
@@ -100,22 +101,37 @@ class EmergencyStop:
 
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed, and tell modules that start later what the latch says now."""
+        self._advertise(namespace)
+        self._publishers[namespace](self.file.is_latched())
+
+    def _advertise(self, namespace: str) -> None:
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
         from roboneuron.ros.qos import LATCHED, STOP_REQUESTS
+        from roboneuron.ros.writer import UNSENT
 
         topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
+
+        def publish(is_latched: bool) -> None:
+            with suppress(*UNSENT):  # the server is leaving the graph; who has heard it confirms it
+                send(Bool(data=is_latched))
+
         with self._lock:
             if namespace not in self._publishers:
-                self._publishers[namespace] = link.advertise(Bool, topic, LATCHED)
+                send = link.advertise(Bool, topic, LATCHED)
                 for qos in STOP_REQUESTS:
                     link.subscribe(Bool, topic, lambda message: self._on_topic(topic, message.data), qos)
-            self._publishers[namespace](Bool(data=self.file.is_latched()))
+                self._publishers[namespace] = publish
+
+    def _publish(self, is_latched: bool) -> None:
+        """Tell all modules by the topic; waits for nothing."""
+        for publish in list(self._publishers.values()):
+            publish(is_latched)
 
     def _on_topic(self, topic: str, is_pressed: bool) -> None:
-        """Any node of the graph may stop; none may release."""
-        if is_pressed:
+        """Any node of the graph may stop; none may release. What this server has sent itself comes here too."""
+        if is_pressed and not self.file.is_latched():
             try:
                 self.file.press(who=f"a node on the topic {topic}", reason="received by the server")
             except UnsafeError as error:
@@ -169,13 +185,8 @@ class EmergencyStop:
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
         started_s = time.monotonic()
-        self.prepare(namespace)
-        from std_msgs.msg import Bool  # heavy
-
-        with self._lock:
-            publishers = list(self._publishers.values())
-        for publish in publishers:
-            publish(Bool(data=latched))
+        self._advertise(namespace)
+        self._publish(latched)
         log.warning("Emergency stop %s.", "latched" if latched else "released")
 
         self._supervisor.changes.wait_for(lambda: not self._unconfirmed(latched, started_s), CONFIRM_S)

@@ -73,7 +73,8 @@ class Motion:
         self._policy = policy
         self._end_reason = ""
         self.stop_now: Callable[[], object] = lambda: None
-        """Sends the stop message; set while there is one to send, called by whoever presses the emergency stop."""
+        """Sends the stop message; set while there is one to send. Whoever presses the emergency stop calls it, whether
+        or not the thread that plays this gets to run, and the thread sends it again when it does."""
 
     def check(self) -> None:
         """Raise when it has to end.
@@ -100,9 +101,8 @@ class Motion:
             self._halt.wait(min(POLL_S, remaining_s))
 
     def wake(self) -> None:
-        """Stop now, whether or not the thread that plays this gets to run; it stops again when it does."""
+        """Have the thread that plays this look now whether it has to end."""
         self._halt.set()
-        self.stop_now()
 
     def end(self, reason: str) -> None:
         """Have it end now; callable from any thread."""
@@ -123,11 +123,17 @@ class MotionArbiter:
         self._lock = threading.Lock()
         self._moving: dict[str, Motion] = {}
         self._idle = threading.Condition(self._lock)
-        gate.latch.on_press(self._wake)
+        gate.latch.on_press(self._stop_now)
+        gate.latch.on_pressed(self._wake)
+
+    def _stop_now(self) -> None:
+        """The stop was pressed in this process: send what ends each motion."""
+        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+            motion.stop_now()
 
     def _wake(self) -> None:
-        """The stop was pressed in this process: nobody waits for the next look at the latch."""
-        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+        """Nobody waits for the next look at the latch."""
+        for motion in list(self._moving.values()):
             motion.wake()
 
     def check_free(self, exposed: Exposed) -> None:

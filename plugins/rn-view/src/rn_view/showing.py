@@ -1,0 +1,188 @@
+"""What the pages of one robot show; its topics are subscribed to only while somebody looks."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_view.measured import Measured
+from rn_view.page import Page
+from rn_view.plots import History
+from rn_view.source import Source
+from roboneuron import RoboNeuronError, RobotProfile
+from roboneuron.supervisor.changes import Periodic
+
+log = logging.getLogger(__name__)
+_MOTION_S, _STATE_S, _SCENE_PICTURE_S, _IDLE_S = 1 / 25, 0.25, 0.5, 0.5
+_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 320, 640
+
+
+class Showing:
+    """Fills the pages of one robot from `start` to `close`; usable from any thread.
+
+    Args:
+        source: what is shown.
+        image_hz: most pictures a second of each camera.
+        on_other_robot: called when another robot runs than the pages were built for: they have to begin anew.
+
+    Attributes:
+        source: see above.
+        measured: None while nobody looks: nothing is subscribed to then.
+    """
+
+    def __init__(self, source: Source, image_hz: float, on_other_robot: Callable[[], object]) -> None:
+        self.source = source
+        self.measured: Measured | None = None
+        self._image_hz = image_hz
+        self._on_other_robot = on_other_robot
+        self._lock = threading.RLock()
+        self._pages: list[Page] = []
+        self._profile: RobotProfile | None = None
+        self._place: tuple[str, str] = ("", "")
+        self._history = History()
+        self._shown: dict[str, tuple[int, float, float]] = {}
+        self._is_closing = threading.Event()
+        self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
+        self._state = Periodic("view-state", _STATE_S, self._show_state)
+        self._pictures = threading.Thread(target=self._show_pictures, name="view-pictures", daemon=True)
+        self._looks = threading.Event()
+
+    def start(self) -> None:
+        """Begin to fill pages."""
+        for thread in (self._motion, self._state, self._pictures):
+            thread.start()
+
+    def close(self) -> None:
+        """End everything; idempotent."""
+        self._is_closing.set()
+        self._looks.set()
+        self._motion.close()
+        self._state.close()
+        with self._lock:
+            self._pages.clear()
+            self._stop_looking()
+
+    def add(self, page: Page) -> None:
+        """A page of this robot; `admit` shows the rest of it."""
+        with self._lock:
+            self._pages.append(page)
+
+    def admit(self, page: Page) -> None:
+        """Show everything to a page whose holder is known; the first one makes us look."""
+        try:
+            with self._lock:
+                if self.measured is None:
+                    self._start_looking()
+                assert self._profile is not None
+                page.show(self._profile, self._history)
+                self._shown = {}  # it gets the pictures that are there, also if no others come
+        except RoboNeuronError as error:
+            log.error("The view cannot show the robot: %s", error)
+            page.tell("The robot cannot be shown", str(error), is_bad=True)
+
+    def remove(self, page: Page) -> None:
+        """The page was closed, or shows another robot."""
+        with self._lock:
+            if page in self._pages:
+                self._pages.remove(page)
+            if not any(other.is_admitted for other in self._pages):
+                self._stop_looking()
+
+    def _start_looking(self) -> None:
+        self._profile = self.source.profile()
+        config = self.source.config()
+        self._place = (config.robot.name, config.namespace)
+        measured = Measured(self.source, self._profile)
+        try:
+            measured.open()
+        except RoboNeuronError:
+            measured.close()
+            raise
+        self._shown = {}
+        self.measured = measured
+        self._looks.set()
+
+    def _stop_looking(self) -> None:
+        self._looks.clear()
+        measured, self.measured = self.measured, None
+        if measured is not None:
+            measured.close()
+
+    def _show_motion(self) -> None:
+        measured = self.measured
+        if measured is None:
+            self._looks.wait(_IDLE_S)
+            return
+        for page in self._all_pages():
+            page.update_motion(self.source, measured)
+
+    def _show_state(self) -> None:
+        measured = self.measured
+        if measured is None:
+            self._looks.wait(_IDLE_S)
+            return
+        config = self.source.config()
+        if (config.robot.name, config.namespace) != self._place:  # another robot: every page begins anew
+            with self._lock:
+                self._stop_looking()
+            self._on_other_robot()
+            return
+        self.source.look()
+        snapshot = self.source.snapshot()
+        self._history.add(snapshot, self.source.now_s())
+        for page in self._all_pages():
+            page.update_state(self.source, snapshot, measured)
+
+    def _show_pictures(self) -> None:
+        while not self._is_closing.is_set():
+            measured = self.measured
+            if measured is None:
+                self._looks.wait(_IDLE_S)
+                continue
+            with measured.news:
+                if not self._due(measured):
+                    measured.news.wait(_STATE_S)
+            for camera in self._due(measured):
+                try:
+                    self._show_picture(measured, camera)
+                except Exception:  # the border to a page that is just going away
+                    log.exception("A picture of %s could not be shown.", camera)
+
+    def _due(self, measured: Measured) -> list[str]:
+        """Cameras with a picture that is new and not too soon after the one before."""
+        now_s = time.monotonic()
+        return [
+            camera
+            for camera, (number, _, _) in list(measured.images.items())
+            if camera not in self._shown
+            or (self._shown[camera][0] != number and now_s - self._shown[camera][1] >= 0.9 / self._image_hz)
+        ]
+
+    def _show_picture(self, measured: Measured, camera: str) -> None:
+        number, pixels, _ = measured.images[camera]
+        now_s = time.monotonic()
+        before_s = self._shown[camera][2] if camera in self._shown else 0.0
+        in_scene = now_s - before_s >= _SCENE_PICTURE_S
+        self._shown[camera] = (number, now_s, now_s if in_scene else before_s)
+        fitting = fitted(pixels)
+        for page in self._all_pages():
+            page.show_picture(self.source, camera, fitting, in_scene=in_scene)
+
+    def _all_pages(self) -> list[Page]:
+        with self._lock:
+            return list(self._pages)
+
+
+def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture of a width that fits the panel: whole numbers of pixels are repeated or left out."""
+    width = pixels.shape[1]
+    if width > _MOST_WIDTH_PX:
+        step = -(-width // _MOST_WIDTH_PX)
+        return np.ascontiguousarray(pixels[::step, ::step])
+    times = -(-_LEAST_WIDTH_PX // width)
+    return pixels if times == 1 else pixels.repeat(times, axis=0).repeat(times, axis=1)
