@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import signal
 
 import pytest
 from rich.console import Console
@@ -51,6 +52,24 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
     assert len(evaluate(made, tmp_path, forbidden, quiet)) == 2
     more = plan(episodes=3, executions=("sequential", "overlap"))
     assert len(evaluate(more, tmp_path, lambda: InProcess(more), quiet)) == 6
+
+
+@pytest.mark.parametrize(("number", "ended"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_who_ends_a_run_learns_what_is_kept(plan, tmp_path, number, ended):
+    before = signal.getsignal(signal.SIGTERM)
+
+    class Ended(InProcess):
+        def run(self, jobs):
+            yield next(super().run(jobs))
+            assert callable(signal.getsignal(number))  # by default it would end the tests
+            signal.raise_signal(number)
+
+    made, console = plan(episodes=3), Console(file=io.StringIO(), width=200)
+    with pytest.raises(ended):
+        evaluate(made, tmp_path, lambda: Ended(made), console)
+    assert "1 of 3 episodes are in the ledger" in console.file.getvalue()
+    assert signal.getsignal(signal.SIGTERM) == before
+    assert len(evaluate(made, tmp_path, lambda: InProcess(made), console)) == 3
 
 
 def test_an_episode_is_refused_a_second_time_unless_it_crashed(plan, tmp_path):

@@ -66,11 +66,12 @@ def task_table(summary: Summary) -> tuple[tuple[str, ...], list[tuple[str, ...]]
     """Success by task and variant."""
     headings = ("task", *(row.name for row in summary.rows))
     return headings, [
-        (task, *(_counted(summary.by_task[row.variant, task]) for row in summary.rows)) for task in summary.tasks
+        (task, *(counted(summary.by_task[row.variant, task]) for row in summary.rows)) for task in summary.tasks
     ]
 
 
-def _counted(share: Proportion) -> str:
+def counted(share: Proportion) -> str:
+    """A share with its interval and its counts."""
     return f"{share} ({share.successes}/{share.trials})" if share.trials else "-"
 
 
