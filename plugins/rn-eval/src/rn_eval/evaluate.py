@@ -73,8 +73,10 @@ def _exit_on_sigterm() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+        if signal.getsignal(signal.SIGTERM) is _exit:
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _exit(number: int, frame: object) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)  # make and timeout send it twice, and the second must not cut the end short
     sys.exit(128 + number)
