@@ -123,5 +123,7 @@ def _speed(axes: Any, rows: Sequence[Row]) -> None:
     axes.errorbar(speeds, _points(shares), yerr=_whiskers(shares), fmt="o", capsize=4)
     for row, speed in zip(rows, speeds, strict=True):
         axes.annotate(row.name, (speed, 100 * row.success.share), textcoords="offset points", xytext=(6, 4))
+    known = [speed for speed in speeds if speed is not None]
+    axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)  # a percent is not to look like much
     axes.set_xlabel("speed-up of a prediction")
     _percent(axes)

@@ -124,7 +124,8 @@ def to_markdown(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
         parts += ["## Failures", grid(("variant", "episodes", "reason"), failures)]
     parts += [
         "Intervals are Wilson score intervals, p values exact McNemar tests on the same episodes (won : lost beside "
-        "them). Crashed episodes (errors) count neither as success nor as failure."
+        "them). Crashed episodes (errors) count neither as success nor as failure. Times and speed-ups hold for this "
+        "machine with what else ran on it."
     ]
     return "\n\n".join(parts) + "\n"
 
