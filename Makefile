@@ -67,6 +67,7 @@ bench-fci-stops: $(VENV)/.develop .venv-fr3sim/.ready ## the emergency stop of t
 	.venv-fr3sim/bin/python -m pip install --quiet --disable-pip-version-check franka-sim==1.1.7 numpy==1.26.4
 	@touch $@
 
+# Both evaluations go on where they were when they are begun again.
 eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV preset, then by execution mode and latency
 	rm -rf out/eval/policy
 	$(BIN)/roboneuron cubes-policy unpack out/eval/policy
@@ -74,15 +75,26 @@ eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV p
 	  --out out/eval/presets $(ARGS)
 	$(BIN)/roboneuron eval run $(EVAL_POLICY) --episodes 50 --execution sequential,overlap \
 	  --latency 0 --latency 112ms --latency 250ms --out out/eval/latency $(ARGS)
+	$(BIN)/roboneuron eval report out/eval/presets --by turned_rad=0.2,0.4,0.6
 
 EVAL_POLICY := --backend oft-primary --checkpoint out/eval/policy --config out/eval/policy/roboneuron.toml \
-  --seed 10000 --workers $(JOBS)
+  --seed 10000 --workers $(JOBS) --retry-errors
 
 # LIBERO's reference stack is for Python 3.10 and 3.11 only.
 LIBERO_PYTHON ?= python3.11
 LIBERO_ARGS ?= --episodes 10
 TINY_OPTIONS := --option torch.device=cpu --option torch.dtype=float32
 LIBERO_OUT := out/eval/libero
+define newline
+
+
+endef
+LIBERO_SUITES := spatial object goal 10
+LIBERO_POLICIES := noop oft openvla
+LIBERO_noop := --backend noop
+LIBERO_oft := --backend oft --checkpoint $(LIBERO_OUT)/tiny-oft --option oft.unnorm_key=tiny $(TINY_OPTIONS)
+LIBERO_openvla := --backend openvla --checkpoint $(LIBERO_OUT)/tiny-openvla --option openvla.unnorm_key=tiny \
+  --option openvla.max_outside_share=1 $(TINY_OPTIONS)
 
 .venv-libero: .venv-libero/.ready
 
@@ -96,18 +108,10 @@ eval-libero: $(VENV)/.develop .venv-libero/.ready ## one episode of each of LIBE
 	rm -rf $(LIBERO_OUT)/tiny-openvla $(LIBERO_OUT)/tiny-oft
 	$(BIN)/roboneuron-openvla make-tiny $(LIBERO_OUT)/tiny-openvla
 	$(BIN)/roboneuron-oft make-tiny $(LIBERO_OUT)/tiny-oft
-	for suite in spatial object goal 10; do \
-	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend noop --out $(LIBERO_OUT)/noop/$$suite $(LIBERO_ARGS) && \
-	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend oft --checkpoint $(LIBERO_OUT)/tiny-oft \
-	    --option oft.unnorm_key=tiny $(TINY_OPTIONS) --out $(LIBERO_OUT)/oft/$$suite $(LIBERO_ARGS) && \
-	  $(BIN)/roboneuron eval run --suite libero-$$suite --backend openvla --checkpoint $(LIBERO_OUT)/tiny-openvla \
-	    --option openvla.unnorm_key=tiny --option openvla.max_outside_share=1 $(TINY_OPTIONS) \
-	    --out $(LIBERO_OUT)/openvla/$$suite $(LIBERO_ARGS) || exit 1; \
-	done
-	for policy in noop oft openvla; do echo $$policy; \
-	  $(BIN)/roboneuron eval report $(LIBERO_OUT)/$$policy/spatial $(LIBERO_OUT)/$$policy/object \
-	    $(LIBERO_OUT)/$$policy/goal $(LIBERO_OUT)/$$policy/10 --paper-table || exit 1; \
-	done
+	$(foreach policy,$(LIBERO_POLICIES),$(foreach suite,$(LIBERO_SUITES),$(BIN)/roboneuron eval run --suite libero-$(suite) \
+	  $(LIBERO_$(policy)) --retry-errors --out $(LIBERO_OUT)/$(policy)/$(suite) $(LIBERO_ARGS)$(newline)))
+	$(foreach policy,$(LIBERO_POLICIES),@echo $(policy)$(newline)@$(BIN)/roboneuron eval report \
+	  $(LIBERO_SUITES:%=$(LIBERO_OUT)/$(policy)/%) --paper-table$(newline))
 
 test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of the LIBERO simulator against those of the public scripts
 	$(BIN)/python -m pytest plugins/rn-eval-libero $(ARGS)

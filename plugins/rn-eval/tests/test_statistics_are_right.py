@@ -8,14 +8,17 @@ import json
 import pytest
 from rich.console import Console
 
+from rn_eval.breakdown import breakdown
 from rn_eval.evaluate import evaluate
-from rn_eval.plan import Key
+from rn_eval.plan import Key, Variant
 from rn_eval.pools import InProcess
+from rn_eval.progress import label
 from rn_eval.record import Measured, Outcome, Record
 from rn_eval.report import load, write_report
 from rn_eval.statistics import mcnemar, proportion, spread
 from rn_eval.summary import summarise
 from rn_eval.tables import paper_table
+from roboneuron import ConfigurationError
 
 
 def test_wilson_interval_of_published_examples():
@@ -78,6 +81,92 @@ def test_presets_are_compared_on_the_same_episodes():
     assert rows[1].paired.only_first == 5
     assert rows[1].paired.only_second == 0
     assert rows[1].paired.p_value == pytest.approx(2 / 2**5)
+
+
+def told(**facts_of_seed):
+    """Episodes that tell facts: seeds 0, 1, ...; even ones succeed, odd ones under the second preset too."""
+    names, values = list(facts_of_seed), list(zip(*facts_of_seed.values(), strict=True))
+    records = []
+    for preset in ("none", "fastv-p50"):
+        for seed, told_of in enumerate(values):
+            key = Key(suite="s", preset=preset, execution="sequential", latency="0", task="t", seed=seed)
+            facts = {name: value for name, value in zip(names, told_of, strict=True) if value is not None}
+            won = seed % 2 == 0 or preset != "none"
+            records.append(
+                Record(key=key, instruction="i", outcome=Outcome(status="success" if won else "failure", facts=facts))
+            )
+    return summarise(records)
+
+
+def lines_of(table):
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+
+
+def test_a_breakdown_counts_success_by_ranges_of_a_fact():
+    """A bound belongs to the range above it; who does not tell the fact has a line of their own."""
+    summary = told(turned_rad=[0.5, 0.1, 0.2, 0.39, 0.4, None])
+    lines = lines_of(breakdown(summary, "turned_rad=0.2,0.4"))
+    assert lines[0] == ["turned_rad", "none", "fastv-p50"]
+    assert [line[0] for line in lines[2:]] == ["below 0.2", "0.2 to 0.4", "from 0.4 on", "not told"]
+    assert [line[1].split("(")[1] for line in lines[2:]] == ["0/1)", "1/2)", "2/2)", "0/1)"]
+    assert [line[2].split("(")[1] for line in lines[2:]] == ["1/1)", "2/2)", "2/2)", "1/1)"]
+    assert lines[3][1].startswith(str(proportion(1, 2)))
+
+
+def test_a_breakdown_by_a_text_has_a_line_for_each_value():
+    lines = lines_of(breakdown(told(target=["red", "blue", "red"]), "target"))
+    assert [(line[0], line[1].split("(")[1]) for line in lines[2:]] == [("blue", "0/1)"), ("red", "2/2)")]
+
+
+@pytest.mark.parametrize(
+    ("by", "message"),
+    [
+        ("weight", "the facts are target, turned_rad"),
+        ("turned_rad=0.4,0.2", "rising"),
+        ("turned_rad=nan", "rising"),
+        ("target=0.1", "without bounds"),
+    ],
+)
+def test_a_breakdown_that_cannot_be_made_is_refused(by, message):
+    with pytest.raises(ConfigurationError, match=message):
+        breakdown(told(target=["red"], turned_rad=[0.1]), by)
+
+
+def test_variants_are_named_by_what_differs():
+    modes = tuple(Variant("none", execution, "0") for execution in ("sequential", "overlap"))
+    assert [label(v, modes) for v in modes] == ["sequential", "overlap"]
+    assert label(modes[0], modes[:1]) == "none"
+    both = (*modes, Variant("fastv-p50", "overlap", "0"))
+    assert label(both[2], both) == "fastv-p50 overlap"
+
+
+def test_reasons_that_differ_in_numbers_only_are_one_line():
+    texts = [
+        "The red cube was lifted by 0.2 cm.",
+        "Time.",
+        "The red cube was lifted by -3 cm.",
+        "Row 7 is old.",
+        "Time.",
+        "Time.",
+    ]
+    records = [
+        Record(
+            key=Key(suite="s", preset="none", execution="sequential", latency="0", task="t", seed=seed),
+            instruction="i", outcome=Outcome(status="failure", reason=text),
+        )
+        for seed, text in enumerate(texts)
+    ]  # fmt: skip
+    assert summarise(records).rows[0].reasons == (
+        ("Time.", 3), ("The red cube was lifted by ... cm.", 2), ("Row 7 is old.", 1),
+    )  # fmt: skip
+
+
+def test_an_episode_of_two_ledgers_is_not_counted_twice(plan, tmp_path):
+    made = plan(episodes=1)
+    for name in ("a", "b"):
+        evaluate(made, tmp_path / name, lambda: InProcess(made), Console(file=io.StringIO()))
+    with pytest.raises(ConfigurationError, match=r"a and .*b both hold"):
+        load([tmp_path / "a", tmp_path / "b"])
 
 
 def test_the_report_is_one_file_and_agrees_with_the_ledger(plan, tmp_path):

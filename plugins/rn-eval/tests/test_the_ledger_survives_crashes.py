@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import signal
 
 import pytest
 from rich.console import Console
@@ -51,6 +52,53 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
     assert len(evaluate(made, tmp_path, forbidden, quiet)) == 2
     more = plan(episodes=3, executions=("sequential", "overlap"))
     assert len(evaluate(more, tmp_path, lambda: InProcess(more), quiet)) == 6
+
+
+@pytest.fixture
+def sigterm():
+    """Puts back what SIGTERM did."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield before
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize(("number", "ended"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_who_ends_a_run_learns_what_is_kept(plan, tmp_path, sigterm, number, ended):
+    class Ended(InProcess):
+        def run(self, jobs):
+            yield next(super().run(jobs))
+            assert callable(signal.getsignal(number))  # by default it would end the tests
+            signal.raise_signal(number)
+
+    made, console = plan(episodes=3), Console(file=io.StringIO(), width=200)
+    with pytest.raises(ended):
+        evaluate(made, tmp_path, lambda: Ended(made), console)
+    assert "1 of 3 episodes are in the ledger" in console.file.getvalue()
+    assert len(evaluate(made, tmp_path, lambda: InProcess(made), console)) == 3
+
+
+def test_a_second_sigterm_does_not_cut_the_end_short(plan, tmp_path, sigterm):
+    """make and timeout each send one."""
+
+    class Ended(InProcess):
+        def run(self, jobs):
+            assert callable(signal.getsignal(signal.SIGTERM))
+            signal.raise_signal(signal.SIGTERM)
+            yield
+
+        def __exit__(self, *error):
+            assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+            super().__exit__(*error)
+
+    made = plan(episodes=1)
+    with pytest.raises(SystemExit):
+        evaluate(made, tmp_path, lambda: Ended(made), Console(file=io.StringIO()))
+
+
+def test_sigterm_is_as_it_was_after_a_run(plan, tmp_path, sigterm):
+    made = plan(episodes=1)
+    evaluate(made, tmp_path, lambda: InProcess(made), Console(file=io.StringIO()))
+    assert signal.getsignal(signal.SIGTERM) == sigterm
 
 
 def test_an_episode_is_refused_a_second_time_unless_it_crashed(plan, tmp_path):

@@ -125,3 +125,13 @@ def test_a_policy_that_remembers_cannot_be_shared(toy, tmp_path):
     )  # fmt: skip
     assert done.returncode == 2
     assert "offers no predict_batch" in done.stderr
+
+
+def test_a_gpu_that_is_not_there_is_refused(toy, tmp_path):
+    """Ray would wait for it for ever."""
+    done = subprocess.run(
+        command(tmp_path, "--episodes", "2", "--workers", "2", "--policy-gpus", "1000"),
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "2000 GPUs are needed" in done.stderr

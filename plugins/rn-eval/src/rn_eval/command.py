@@ -43,6 +43,9 @@ class Eval:
         report.add_argument(
             "--paper-table", action="store_true", help="print success by suite and speed-up only, write nothing"
         )
+        report.add_argument(
+            "--by", metavar="FACT[=BOUND,...]", help="print success by a fact of the suite's judge only, write nothing"
+        )
         actions.add_parser("suites", help="list the installed suites")
         served = actions.add_parser("serve", help="be a model server of vla-eval 0.8")
         self._configure_serve(served)
@@ -290,6 +293,11 @@ def _report(arguments: Namespace) -> int:
 
     if arguments.paper_table:
         print(paper_table(load(arguments.directories)[0]))
+        return 0
+    if arguments.by:
+        from rn_eval.breakdown import breakdown
+
+        print(breakdown(load(arguments.directories)[0], arguments.by))
         return 0
     output = arguments.out or arguments.directories[0]
     summary = write_report(arguments.directories, output)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -13,7 +14,7 @@ from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
 from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
-from roboneuron import Frame, JointSample, Observation
+from roboneuron import Frame, JointSample, Observation, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
 
@@ -116,6 +117,7 @@ class CubesScene:
         self._arm = DeployedArm(setup, setup.controller)
         self._simulation = Simulation(episode.seed, colours=colours, engine=options.engine)
         self._simulation.open()
+        self._turned_rad = self._turn_to_target()
 
     def observe(self, stamp_ns: int) -> Observation:
         """Pictures of every camera and the measured state, taken at the same moment."""
@@ -166,6 +168,7 @@ class CubesScene:
         facts: dict[str, str | float] = {
             "target": self._target,
             "objects": float(len(cubes)),
+            "turned_rad": round(self._turned_rad, 4),
             "lifted_cm": round(max(0.0, cubes[self._target].lifted_m) * 100, 2),
         }
         if highest.lifted_m >= 0.02:  # something was taken up: was it what was named?
@@ -186,6 +189,13 @@ class CubesScene:
     def close(self) -> None:
         """Destroy the world."""
         self._simulation.close()
+
+    def _turn_to_target(self) -> float:
+        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both hang level at first."""
+        hand = matrix_from_quaternion(self._controller.forward(self._joints(0)).quaternion_xyzw)
+        cube = next(cube for cube in self._simulation.scene if cube.name == self._target)
+        angle = cube.yaw_rad - math.atan2(hand[1, 0], hand[0, 0])
+        return abs(math.remainder(angle, math.pi / 2))
 
     def _joints(self, stamp_ns: int) -> JointSample:
         position, velocity = self._simulation.joint_states()

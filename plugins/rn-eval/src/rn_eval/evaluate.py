@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from rich.console import Console
 
@@ -44,9 +49,34 @@ def evaluate(
         there = [done[job.key] for job in jobs if job.key in done and job.key not in crashed]
         if there and missing:
             console.print(f"{len(there)} of {len(jobs)} episodes are in the ledger; {len(missing)} are left.")
-        if missing:
-            with ProgressView(console, plan.variants, len(jobs), there) as progress, pool() as workers:
-                for finished in workers.run(missing):
-                    ledger.add(finished.record, finished.strip)
-                    progress.add(finished.record)
+        try:
+            if missing:
+                view = ProgressView(console, plan.variants, len(jobs), there)
+                with view as progress, pool() as workers, _exit_on_sigterm():
+                    for finished in workers.run(missing):
+                        ledger.add(finished.record, finished.strip)
+                        progress.add(finished.record)
+        except (KeyboardInterrupt, SystemExit):
+            kept = sum(job.key in ledger.records for job in jobs)
+            console.print(f"{kept} of {len(jobs)} episodes are in the ledger; the same command runs the others.")
+            raise
         return [ledger.records[job.key] for job in jobs]
+
+
+@contextmanager
+def _exit_on_sigterm() -> Iterator[None]:
+    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a stack trace."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _exit)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGTERM) is _exit:
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def _exit(number: int, frame: object) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)  # make and timeout send it twice, and the second must not cut the end short
+    sys.exit(128 + number)

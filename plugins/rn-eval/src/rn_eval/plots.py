@@ -10,6 +10,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from rn_eval.latency import median_s
+from rn_eval.progress import label
 from rn_eval.statistics import Proportion
 from rn_eval.summary import Row, Summary
 
@@ -58,6 +59,12 @@ def _percent(axes: Any) -> None:
     axes.grid(axis="y", alpha=0.3)
 
 
+def _line(row: Row, rows: Sequence[Row], along: str) -> str:
+    """Name of the line through variants that differ in one respect."""
+    variants = tuple(r.variant._replace(**{along: ""}) for r in rows)
+    return label(row.variant._replace(**{along: ""}), variants)
+
+
 def _legend(axes: Any) -> None:
     """Above the plot, where it covers no point; with one line there is nothing to tell apart."""
     if len(axes.get_legend_handles_labels()[0]) > 1:
@@ -82,8 +89,9 @@ def _tokens(axes: Any, rows: Sequence[Row]) -> None:
         own = sorted((r for r in rows if r.variant[1:] == key), key=lambda row: row.tokens or 0.0)
         shares = [row.success for row in own]
         axes.errorbar(
-            [r.tokens for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4, label=" ".join(key)
-        )
+            [r.tokens for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4,
+            label=_line(own[0], rows, "preset"),
+        )  # fmt: skip
     axes.set_xlabel("tokens kept")
     _legend(axes)
     _percent(axes)
@@ -96,7 +104,7 @@ def _latency(axes: Any, rows: Sequence[Row]) -> None:
         shares = [row.success for row in own]
         axes.errorbar(
             [_latency_ms(r) for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4,
-            label=f"{preset} {execution}",
+            label=_line(own[0], rows, "latency"),
         )  # fmt: skip
     axes.set_xlabel("latency of a prediction, median [ms]")
     _legend(axes)
@@ -115,5 +123,7 @@ def _speed(axes: Any, rows: Sequence[Row]) -> None:
     axes.errorbar(speeds, _points(shares), yerr=_whiskers(shares), fmt="o", capsize=4)
     for row, speed in zip(rows, speeds, strict=True):
         axes.annotate(row.name, (speed, 100 * row.success.share), textcoords="offset points", xytext=(6, 4))
+    known = [speed for speed in speeds if speed is not None]
+    axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)  # a percent is not to look like much
     axes.set_xlabel("speed-up of a prediction")
     _percent(axes)

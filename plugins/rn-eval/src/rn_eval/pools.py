@@ -92,7 +92,7 @@ class OnRay:
 
     Raises:
         MissingDependencyError: Ray is not installed.
-        ConfigurationError: a cluster cannot be reached, or the policy cannot be shared.
+        ConfigurationError: a cluster cannot be reached, has too few CPUs or GPUs, or the policy cannot be shared.
     """
 
     def __init__(
@@ -114,6 +114,7 @@ class OnRay:
         self._ray = ray
         self._plan, self._count = plan, workers
         self._connect(address, workers + policy_actors)
+        self._check_room(workers + policy_actors, policy_gpus * (policy_actors or workers))
         self._policies: list[Any] = []
         if policy_actors:
             from rn_eval.sharing import PolicyActor
@@ -136,6 +137,17 @@ class OnRay:
             self._ray.init(address=address, logging_level="ERROR", **settings)
         except ConnectionError as error:
             raise ConfigurationError(f"There is no Ray cluster at {address!r}: {error}.") from error
+
+    def _check_room(self, cpus: float, gpus: float) -> None:
+        """Ray would let a worker that has no place wait for ever, and its episode with it."""
+        there = self._ray.cluster_resources()
+        for name, needed in (("CPU", cpus), ("GPU", gpus)):
+            if needed > there.get(name, 0.0):
+                self._ray.shutdown()
+                raise ConfigurationError(
+                    f"{needed:g} {name}s are needed, Ray has {there.get(name, 0.0):g}.",
+                    hint="Give fewer --workers, or a smaller --policy-gpus.",
+                )
 
     def _spawn(self) -> Any:
         return self._actor.remote(self._plan.model_dump_json(), self._policies)

@@ -19,13 +19,9 @@ _LINE_S = 10.0
 
 
 def label(variant: Variant, variants: tuple[Variant, ...]) -> str:
-    """A variant's name: only what distinguishes it from the others."""
-    parts = [
-        getattr(variant, name)
-        for name in Variant._fields
-        if name == "preset" or len({getattr(v, name) for v in variants}) > 1
-    ]
-    return " ".join(parts)
+    """A variant's name: what distinguishes it from the others, of one alone the preset."""
+    differing = [name for name in Variant._fields if len({getattr(v, name) for v in variants}) > 1]
+    return " ".join(getattr(variant, name) for name in differing or ["preset"])
 
 
 class ProgressView:

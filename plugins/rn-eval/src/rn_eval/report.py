@@ -11,7 +11,7 @@ from pathlib import Path
 from jinja2 import Environment
 
 from rn_eval.ledger import STRIPS, read_plan, read_records
-from rn_eval.plan import EvalPlan
+from rn_eval.plan import EvalPlan, Key
 from rn_eval.plots import plots
 from rn_eval.record import Record
 from rn_eval.summary import Summary, summarise
@@ -26,10 +26,20 @@ def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
     """The summary of one ledger or several, and what to say about them.
 
     Raises:
-        ConfigurationError: no ledger, a damaged one, or no finished episode.
+        ConfigurationError: no ledger, a damaged one, no finished episode, or one that two ledgers hold.
     """
     plans = [read_plan(directory) for directory in directories]
-    records = [record for directory in directories for record in read_records(directory)]
+    records: list[Record] = []
+    place_of: dict[Key, Path] = {}
+    for directory in directories:
+        for record in read_records(directory):
+            if record.key in place_of:
+                raise ConfigurationError(
+                    f"{place_of[record.key]} and {directory} both hold the episode {record.key.slug}.",
+                    hint="Make a report of each: runs of one suite with the same variants are not one run.",
+                )
+            place_of[record.key] = directory
+            records.append(record)
     if not records:
         raise ConfigurationError(f"{directories[0]} holds no finished episode.")
     return summarise(records), _about(plans, records)
@@ -40,17 +50,22 @@ def _about(plans: Sequence[EvalPlan], records: Sequence[Record]) -> list[tuple[s
         return ", ".join(dict.fromkeys(str(value) for value in values if value))
 
     ended = sorted(record.ended_at for record in records if record.ended_at)
+    from_to = "" if not ended else f", {_minute(ended[0])} to {_minute(ended[-1])} UTC"
     return [
-        ("suite", each([f"{plan.suite} {plan.suite_options or ''}".strip() for plan in plans])),
+        ("suite", each([" ".join([p.suite, *(f"{k}={v}" for k, v in p.suite_options.items())]) for p in plans])),
         ("backend", each([plan.backend for plan in plans])),
         ("checkpoint", each([f"{plan.checkpoint} ({plan.checkpoint_sha256[:12]})" for plan in plans if plan.checkpoint])
          or "none"),
         ("runtime", each([plan.runtime for plan in plans]) or "the backend's own"),
         ("seeds", each([f"{plan.first_seed} .. {plan.first_seed + plan.episodes - 1}" for plan in plans])),
-        ("finished", f"{len(records)} episodes, {ended[0]} to {ended[-1]}" if ended else f"{len(records)} episodes"),
+        ("finished", f"{len(records)} episodes{from_to}"),
         ("hosts", each([record.host for record in records])),
         ("versions", each([f"{name} {v}" for plan in plans for name, v in plan.versions.items()])),
     ]  # fmt: skip
+
+
+def _minute(ended_at: str) -> str:
+    return ended_at[:16].replace("T", " ")
 
 
 def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Sequence[Path]) -> str:
@@ -58,6 +73,7 @@ def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Seq
     template = files("rn_eval").joinpath("report.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(template).render(
+        title="{backend} in {suite}".format(**dict(about)),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         about=about,
         headings=HEADINGS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from rn_eval.statistics import (
 TOKENS = ("tokens_kept", "visual_tokens_kept")
 """Metrics that backends tell when tokens are pruned."""
 RIGHT_OBJECT = "right_object"
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 class Row(NamedTuple):
@@ -40,7 +41,7 @@ class Row(NamedTuple):
         tokens: mean number of tokens kept; None when the backend does not tell.
         paired: against the first variant with the same execution and latency, on the same episodes; None for itself.
         starved: mean number of periods without an action, of an episode.
-        reasons: failures by reason, most frequent first.
+        reasons: failures by reason, most frequent first; numbers that differ are left out.
     """
 
     variant: Variant
@@ -103,7 +104,6 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
     plain = spread(inference_ms(of.get(variant._replace(preset=NO_PRESET), [])))
     base = _baseline(variant, variants)
     tokens = [r.outcome.metrics[name] for r in records for name in TOKENS if name in r.outcome.metrics]
-    failures = Counter(r.outcome.reason for r in records if r.outcome.status != "success")
     return Row(
         variant=variant,
         name=label(variant, variants),
@@ -118,8 +118,17 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
         tokens=sum(tokens) / len(tokens) if tokens else None,
         paired=None if base == variant else mcnemar(verdicts(of[base]), verdicts(records)),
         starved=spread([float(r.outcome.starved_periods) for r in records]).mean,
-        reasons=tuple(failures.most_common()),
+        reasons=_reasons([r.outcome.reason for r in records if r.outcome.status != "success"]),
     )
+
+
+def _reasons(texts: Sequence[str]) -> tuple[tuple[str, int], ...]:
+    """Reasons with counts, most frequent first; those that differ in numbers only are one, with "..." for them."""
+    alike: dict[str, list[str]] = {}
+    for text in texts:
+        alike.setdefault(_NUMBER.sub("...", text), []).append(text)
+    counts = [(found[0] if len(set(found)) == 1 else form, len(found)) for form, found in alike.items()]
+    return tuple(sorted(counts, key=lambda counted: -counted[1]))
 
 
 def _baseline(variant: Variant, variants: tuple[Variant, ...]) -> Variant:

@@ -66,11 +66,12 @@ def task_table(summary: Summary) -> tuple[tuple[str, ...], list[tuple[str, ...]]
     """Success by task and variant."""
     headings = ("task", *(row.name for row in summary.rows))
     return headings, [
-        (task, *(_counted(summary.by_task[row.variant, task]) for row in summary.rows)) for task in summary.tasks
+        (task, *(counted(summary.by_task[row.variant, task]) for row in summary.rows)) for task in summary.tasks
     ]
 
 
-def _counted(share: Proportion) -> str:
+def counted(share: Proportion) -> str:
+    """A share with its interval and its counts."""
     return f"{share} ({share.successes}/{share.trials})" if share.trials else "-"
 
 
@@ -123,7 +124,8 @@ def to_markdown(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
         parts += ["## Failures", grid(("variant", "episodes", "reason"), failures)]
     parts += [
         "Intervals are Wilson score intervals, p values exact McNemar tests on the same episodes (won : lost beside "
-        "them). Crashed episodes (errors) count neither as success nor as failure."
+        "them). Crashed episodes (errors) count neither as success nor as failure. Times and speed-ups hold for this "
+        "machine with what else ran on it."
     ]
     return "\n\n".join(parts) + "\n"
 
