@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from recorder_demonstrations import observation
+from recorder_demonstrations import PERIOD_NS, observation
 
 from rn_recorder.plugin import FEATURE
-from rn_runs.predictions import join, prediction_record
+from rn_runs.predictions import PredictionRecords, join, prediction_record
 from roboneuron import ActionChunk
 from roboneuron.plugins.loading import load_attribute
 
@@ -33,7 +33,7 @@ def test_the_inference_module_is_given_the_words() -> None:
     module = SimpleNamespace(describe_prediction=None)
     for extend in joined("inference"):
         extend(module)
-    assert module.describe_prediction is prediction_record
+    assert isinstance(module.describe_prediction, PredictionRecords)
 
 
 def test_a_record_names_the_frames_and_keeps_every_bit_of_the_rows() -> None:
@@ -49,3 +49,25 @@ def test_a_failure_is_told_in_place_of_rows() -> None:
     told = json.loads(prediction_record(observation(0, "pick", 0), "overlap", False, ValueError("too dark")))
     assert told["error"] == "too dark"
     assert "rows" not in told
+
+
+def numbers(records: PredictionRecords, *predictions: tuple[int, bool, bool]) -> list[list[int]]:
+    """The numbers of what is published after each prediction (number, resets, is_heard)."""
+    chunk = ActionChunk(actions=np.zeros((1, 7)), step_s=0.1)
+    published = []
+    for number, resets, is_heard in predictions:
+        texts = records(observation(number, "pick", 0), "sequential", resets, chunk, is_heard)
+        published.append([json.loads(text)["stamp_ns"] // PERIOD_NS for text in texts])
+    return published
+
+
+def test_a_recorder_that_finds_the_topic_late_gets_the_predictions_since_the_reset() -> None:
+    late = [(0, True, False), (1, False, False), (2, False, True), (3, False, True)]
+    again = [(4, False, False), (5, False, True)]
+    assert numbers(PredictionRecords(), *late, *again) == [[], [], [0, 1, 2], [3], [], [5]]
+
+
+def test_predictions_that_nobody_hears_of_are_not_kept_for_long() -> None:
+    alone = [(number, number in (0, 30), False) for number in range(25)]
+    assert numbers(PredictionRecords(), *alone, (25, False, True))[-1] == [25]
+    assert numbers(PredictionRecords(), *alone, (30, True, False), (31, False, True))[-1] == [30, 31]

@@ -10,8 +10,9 @@ import pytest
 from recorder_demonstrations import CAMERAS, action, observation, picture, record_run, store_in
 
 from rn_runs.comparison import AXES, compare, describe, write_report
-from rn_runs.files import Record, RunFile
-from rn_runs.images import to_string
+from rn_runs.files import Record, RunFile, read_records
+from rn_runs.images import IMAGE, to_string
+from rn_runs.lerobot import export
 from rn_runs.replay import EXACT, Compared, Observations, replay
 from rn_runs.store import Run
 from rn_testing.fakes import gantry_profile
@@ -74,6 +75,29 @@ def test_a_deterministic_backend_repeats_itself(tmp_path: Path) -> None:
     assert comparison.largest.max() == 0.0
     assert backend.resets == 3  # at the beginning, and with each instruction
     assert "All 16 predictions equal" in describe(comparison, found)
+
+
+def cut_off(run: Run, images: int, path: Path) -> Run:
+    """The run as recorded by somebody who came after so many images."""
+    file = RunFile(path, {})
+    left = images
+    for record in read_records(run.files[0]):
+        if left and record.type == IMAGE:
+            left -= 1
+        elif not left or not record.topic.endswith("/joint_states"):
+            file.write(record)
+    file.finish()
+    return Run(id="late", kind="recording", files=(path,), facts={})
+
+
+def test_predictions_from_images_before_the_run_are_left_out(tmp_path: Path) -> None:
+    """A recording or an incident begins in the middle of what a policy does."""
+    late = cut_off(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), 3, tmp_path / "late.mcap")
+    backend = Recomputing()
+    backend.number = 2
+    comparison = compare(replayed(late, backend), EXACT)
+    assert (comparison.predictions, comparison.diverging) == (14, 0)
+    assert export([late], tmp_path / "set", outcome=None, fps=None, codec="h264").frames >= 14
 
 
 def test_the_first_divergence_is_named_and_plotted(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_run_is_shown_with_its_topics_and_events(runs: Call) -> None:
 
 
 def test_runs_are_exported_as_one_file(runs: Call, store: Store, tmp_path: Path) -> None:
-    target = tmp_path / "both.mcap"
+    target = tmp_path / "a folder that is not there" / "both.mcap"
     runs("export", "monday", "tuesday", "--mcap", str(target))
     assert is_finished(target)
     wanted = [record for name in ("monday", "tuesday") for record in read_records(store.get(name).files[0])]

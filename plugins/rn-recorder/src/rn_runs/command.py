@@ -266,6 +266,7 @@ def _export(store: Store, arguments: Namespace) -> int:
         raise InvalidInputError("These runs hold no files.")
     if arguments.mcap.exists():
         raise ConfigurationError(f"{arguments.mcap} exists.", hint="Name another file.")
+    arguments.mcap.parent.mkdir(parents=True, exist_ok=True)
     count = copy_records(files, arguments.mcap, {**read_about(files[0]), "run": " ".join(run.id for run in runs)})
     print(f"{arguments.mcap}: {count} messages")
     return 0

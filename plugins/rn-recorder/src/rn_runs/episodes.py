@@ -67,7 +67,10 @@ class Prediction:
 
 @dataclass(slots=True)
 class Streams:
-    """The numbers of a run, in order of time; images by their stamps."""
+    """The numbers of a run, in order of time; images by their stamps.
+
+    Predictions from images that came before the run began are left out.
+    """
 
     actions: list[tuple[int, F64]] = field(default_factory=list)
     predictions: list[Prediction] = field(default_factory=list)
@@ -109,7 +112,12 @@ def read_streams(files: Sequence[Path]) -> Streams:
             p, q = message.pose.position, message.pose.orientation
             found.poses.append((record.log_ns, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
     found.actions.sort(key=lambda pair: pair[0])
-    found.predictions.sort(key=lambda prediction: prediction.at_ns)
+    first_ns = {camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()}
+    found.predictions = [
+        prediction
+        for prediction in sorted(found.predictions, key=lambda prediction: prediction.at_ns)
+        if all(f["stamp_ns"] >= first_ns.get(f["camera"], 0) for f in prediction.facts.get("frames", {}).values())
+    ]
     return found
 
 

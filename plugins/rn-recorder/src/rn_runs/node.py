@@ -1,7 +1,8 @@
 """The recorder's process: `python -m rn_runs.node`, started by the feature; settings and orders come on stdin.
 
-Three threads: the executor takes serialized messages off ROS into a bounded queue; one reads stdin; one encodes and
-writes. It lives in a process of its own and publishes nothing, so whatever happens to it is no other process's affair.
+Three threads: one takes serialized messages off ROS into a bounded queue; one reads stdin; one encodes and writes what
+was taken, at once, so that all is done between two images. It lives in a process of its own and publishes nothing, so
+whatever happens to it is no other process's affair.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 from rn_runs.audit_tail import AuditTail
 from rn_runs.files import Record
 from rn_runs.images import COMPRESSED, IMAGE, to_jpeg, to_string
+from rn_runs.priority import give_way
 from rn_runs.recording import Recording, Rules
 from rn_runs.settings import RecorderSettings
 from rn_runs.store import Store
@@ -35,11 +37,9 @@ EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
 STRING = "std_msgs/msg/String"
 MOST_BYTES = 128_000_000
 """Of messages that wait to be encoded and written."""
-_TURN_S, _STATUS_S = 0.02, 0.5
+_TURN_S, _STATUS_S = 0.1, 0.5
+"""Without messages one turn lasts so long; the tap's own turns are shorter, and each begins one here."""
 _PREDECESSOR_S = 15.0
-_NICENESS = 10
-"""An image wakes the model's process and this one at once, and the model goes first. On a busy machine this still
-leaves a tenth of each core, about what two cameras need."""
 _LEAVE_S = 5.0
 """Longest time that leaving ROS may take."""
 _LATCHED = "latched"
@@ -82,6 +82,8 @@ class RecorderProcess:
         self._backlog = Backlog()
         self._orders: deque[dict[str, Any]] = deque()
         self._stop = threading.Event()
+        self.wake = threading.Event()
+        """To be set when messages were put."""
         self._was_dismissed = False
         self._holds_directory = False
         self._undecodable = 0
@@ -130,7 +132,8 @@ class RecorderProcess:
                     with suppress(OSError):  # it still cannot be written
                         self._holds_directory = self.recording.store.lock() is not None
                 self._tell({"status": self._status()})
-            self._stop.wait(_TURN_S)
+            self.wake.wait(_TURN_S)
+            self.wake.clear()
         self._turn()
         if not self._was_dismissed and (os.getppid() != self._parent or not signals.is_leaving):
             self.recording.incident("server_ended", {"explanation": "The server ended without taking leave."})
@@ -138,8 +141,6 @@ class RecorderProcess:
         self._audit.close()
 
     def _turn(self) -> None:
-        while self._orders:
-            self._obey(self._orders.popleft())
         for line, entry in self._audit.lines():
             self.recording.take(_string(AUDIT_TOPIC, line, int(entry.get("time_ns") or time.time_ns())))
             if entry.get("verdict") == _LATCHED:
@@ -149,6 +150,8 @@ class RecorderProcess:
             self._write(record)
         if record is not None:
             self._write(record)
+        while self._orders:  # a recording that ends now has what came before
+            self._obey(self._orders.popleft())
         self.recording.tick()
 
     def _write(self, record: Record) -> None:
@@ -217,6 +220,7 @@ class RecorderProcess:
                         break
                     self._orders.append(order)
         self._stop.set()
+        self.wake.set()
 
 
 def _string(topic: str, text: str, at_ns: int, sequence: int = 0) -> Record:
@@ -238,13 +242,13 @@ def main() -> None:
         first += byte
     settings = RecorderSettings.model_validate_json(first)
     os.set_blocking(1, False)
-    os.nice(_NICENESS)
+    give_way()
     signals = Signals()
     signals.listen()
     prepare_environment(settings.state_directory / "log" / "ros")
     import rclpy  # heavy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.node import Node
+    from rclpy.parameter import Parameter
     from rclpy.signals import SignalHandlerOptions
 
     from rn_runs.tap import Tap
@@ -255,34 +259,35 @@ def main() -> None:
     except StateError as error:
         sys.exit(str(error))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Node(f"recorder_{os.getpid()}", enable_rosout=False, start_parameter_services=False)
+    nothing_served = [Parameter("start_type_description_service", value=False)]
+    node = Node(
+        f"recorder_{os.getpid()}",
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=nothing_served,
+    )
     topics = _absolute(settings.topics, settings.namespace)
     tap = Tap(node, topics, _absolute(settings.exclude, settings.namespace), process.put)
     process.counts = lambda: {"received": dict(tap.received), "gaps": dict(tap.gaps)}
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
     leaving = threading.Event()
 
-    def spin() -> None:
+    def take() -> None:
         try:
-            while not leaving.is_set():  # the tap's timer wakes it ten times a second
-                executor.spin_once()
-        except ExternalShutdownException:
-            pass
+            tap.run(leaving, process.wake.set)
         except Exception:
             log.exception("Nothing is heard any more; the server starts another recorder.")
             signals.leave()
 
-    spinning = threading.Thread(target=spin, name="ros", daemon=True)
-    spinning.start()
+    taking = threading.Thread(target=take, name="ros", daemon=True)
+    taking.start()
     try:
         process.run(signals)  # on the main thread, where signals are heard
     finally:
-        # The files are closed. rclpy has been seen to spin in destroy_node for ever; SIGALRM ends the process then.
+        # The files are closed. destroy_node has been seen not to return: whoever sends to a process that was killed
+        # while it took a message may do so for ever (Fast DDS 2.14, issue 6484). SIGALRM ends the process then.
         signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
         leaving.set()
-        spinning.join()  # Executor.shutdown (rclpy 7.1) does not wait for a callback, and the tap's makes subscriptions
-        executor.shutdown()
+        taking.join()
         node.destroy_node()
         rclpy.try_shutdown()
 

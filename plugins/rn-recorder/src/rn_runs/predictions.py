@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 from roboneuron import ActionChunk, Observation
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from roboneuron.modules.module import Module
     from roboneuron.modules.module_host import ModuleHost
 
+_MOST_KEPT = 20
+
 
 def join(host: ModuleHost) -> None:
     """Have the inference module publish its predictions; called in every module process, see `FeatureSpec.on_join`."""
@@ -20,7 +23,33 @@ def join(host: ModuleHost) -> None:
 
 
 def _extend(module: Module) -> None:
-    cast("InferenceModule", module).describe_prediction = prediction_record
+    cast("InferenceModule", module).describe_prediction = PredictionRecords()
+
+
+class PredictionRecords:
+    """Records of the predictions that somebody hears of, and of those since the last reset, if it was not long ago.
+
+    A recorder finds the topic a moment after the first predictions, and without them a backend that remembers what it
+    saw cannot be replayed.
+    """
+
+    def __init__(self) -> None:
+        self._kept: list[str] | None = None
+
+    def __call__(
+        self, observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception, is_heard: bool
+    ) -> Sequence[str]:
+        """Records to publish now, oldest first; the arguments are those of `prediction_record`."""
+        kept = [] if resets else self._kept
+        self._kept = None
+        if not is_heard and kept is None:
+            return ()
+        records = [*(kept or ()), prediction_record(observation, mode, resets, answer)]
+        if is_heard:
+            return records
+        if len(records) <= _MOST_KEPT:
+            self._kept = records
+        return ()
 
 
 def prediction_record(observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception) -> str:

@@ -136,7 +136,8 @@ class Scene:
             self._scene.add_line_segments(
                 "/workspace", points=_edges(lower, upper), colors=_BOX_RGB, thickness=1.5, thickness_units="screen"
             )
-            self._scene.add_label("/workspace/label", "workspace of the TCP", position=upper, font_screen_scale=0.8)
+            behind = np.array([lower[0], upper[1], upper[2]])  # the corner beside which there is room, on a phone too
+            self._scene.add_label("/workspace/label", "workspace of the TCP", position=behind, font_screen_scale=0.8)
         for zone in limits.zones:
             self._add_box(f"/zones/{zone.name}", zone.lower_m, zone.upper_m, _ZONE_RGB, 0.25)
         collision = collision_of(config.limits, self._profile)

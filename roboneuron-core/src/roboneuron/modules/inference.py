@@ -7,7 +7,7 @@ import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -50,6 +50,7 @@ _SOURCES = {
     "joint_state": ("joint state", "the robot"),
     "ee_pose": ("end-effector pose", "control"),
 }
+Describe = Callable[[Observation, str, bool, ActionChunk | Exception, bool], Sequence[str]]
 log = logging.getLogger(__name__)
 
 
@@ -61,9 +62,9 @@ class InferenceModule(Module):
     Attributes:
         backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
         before_prediction: called on the predicting thread between two predictions.
-        describe_prediction: a line of text for each prediction (what the backend was given, how its answer is executed,
-            whether it was reset before, its answer or why there is none), published while somebody listens; None unless
-            a feature sets it.
+        describe_prediction: lines of text to publish after each prediction, from what the backend was given, how its
+            answer is executed, whether it was reset before, its answer or why there is none, and whether somebody
+            listens; None unless a feature sets it.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -102,7 +103,7 @@ class InferenceModule(Module):
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
         self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
         self.before_prediction: list[Callable[[], None]] = []
-        self.describe_prediction: Callable[[Observation, str, bool, ActionChunk | Exception], str] | None = None
+        self.describe_prediction: Describe | None = None
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -249,9 +250,10 @@ class InferenceModule(Module):
 
     def _tell(self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception) -> None:
         """Publish what was asked and answered, while somebody records it."""
-        if self.describe_prediction is not None and self._predictions.get_subscription_count():
-            text = self.describe_prediction(prediction.observation, prediction.mode, resets, answer)
-            self._predictions.publish(String(data=text))
+        if self.describe_prediction is not None:
+            is_heard = self._predictions.get_subscription_count() > 0
+            for text in self.describe_prediction(prediction.observation, prediction.mode, resets, answer, is_heard):
+                self._predictions.publish(String(data=text))
 
     def _check_age(self, prediction: Prediction) -> None:
         """Raise NotReadyError for an answer in shadow that comes too late to be acted on."""
