@@ -100,6 +100,19 @@ def test_predictions_from_images_before_the_run_are_left_out(tmp_path: Path) -> 
     assert export([late], tmp_path / "set", outcome=None, fps=None, codec="h264").frames >= 14
 
 
+def test_a_camera_that_the_backend_did_without_is_left_out(tmp_path: Path) -> None:
+    """Before the first image of an optional camera a policy acts without it."""
+    profile, optional = gantry_profile(), frozenset({"wrist"})
+    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    run = record_run(store_in(tmp_path), "demo", INSTRUCTIONS)
+    for roles in (optional, frozenset()):
+        observations = Observations(run.files, cameras, roles, profile)
+        del observations._streams.predictions[1].facts["frames"]["wrist"]
+        seen = [set(observation.frames) for _, observation in observations]
+        assert seen[0] == seen[2] == set(CAMERAS)
+        assert seen[1] == set(CAMERAS) - roles  # a backend that needs it gets the one before
+
+
 def test_the_first_divergence_is_named_and_plotted(tmp_path: Path) -> None:
     found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(wrong_from=5))
     comparison = compare(found, EXACT)

@@ -96,6 +96,9 @@ class Observations:
                 hint="They are recorded while a backend runs; check `topics` in [recorder], and that rn-recorder is "
                 "installed for the interpreter of the inference module.",
             )
+        predictions = self._streams.predictions
+        self._used = {f["camera"] for prediction in predictions for f in prediction.facts["frames"].values()}
+        """Cameras of the recorded backend: what it did without is left out."""
         self._decoder = MessageDecoder()
         self._recent: dict[str, deque[tuple[int, Record]]] = {}
         self._infos: dict[str, Any] = {}
@@ -132,7 +135,9 @@ class Observations:
         newest_ns = max(stamps.values(), default=int(facts["stamp_ns"]))
         frames = {}
         for role, camera in self._cameras.items():
-            record = self._find(camera.name, stamps.get(camera.name, -1)) or self._before(camera.name, newest_ns)
+            record = self._find(camera.name, stamps.get(camera.name, -1))
+            if record is None and not (role in self._optional and camera.name in self._used):
+                record = self._before(camera.name, newest_ns)
             if record is not None:
                 frames[role] = self._frame(record, camera)
             elif role not in self._optional:
