@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -55,6 +55,7 @@ def check_plan(
     runtime: str | None = None,
     acceleration: str | None = None,
     cameras: Mapping[str, str] = _EMPTY,
+    elsewhere: Collection[str] = (),
 ) -> Plan:
     """Return the plan for these names.
 
@@ -63,16 +64,23 @@ def check_plan(
         robot, driver, perception, controller, backend, runtime, acceleration: names; None for "not wanted", except
             that the backend's default runtime is taken when `runtime` is None.
         cameras: camera name by role, where the robot's own roles are not to be used.
+        elsewhere: which of "driver", "perception", "controller" and "backend" (with its runtime and acceleration) run
+            under another interpreter: modules that they need may be absent here.
 
     Raises:
         ConfigurationError: a name is not installed or cannot be used.
         PlanningError: the parts do not fit; the message says which two and what would.
     """
     robot_spec = registry.get(RobotSpec, robot)
-    driver_spec = _check_driver(robot_spec, driver)
-    perception_spec = registry.get(PerceptionSpec, perception) if perception else None
-    controller_spec = registry.get(ControllerSpec, controller) if controller else None
-    backend_spec = registry.get(BackendSpec, backend) if backend else None
+    driver_spec = _check_driver(robot_spec, driver, "driver" in elsewhere)
+    perception_spec = (
+        registry.get(PerceptionSpec, perception, elsewhere="perception" in elsewhere) if perception else None
+    )
+    controller_spec = (
+        registry.get(ControllerSpec, controller, elsewhere="controller" in elsewhere) if controller else None
+    )
+    is_elsewhere = "backend" in elsewhere
+    backend_spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere) if backend else None
     if perception_spec is not None:
         _check_perception(perception_spec, robot_spec, driver_spec)
     if controller_spec is not None:
@@ -84,8 +92,10 @@ def check_plan(
     else:
         _check_action_width(backend_spec, robot_spec)
         chosen = _resolve_cameras(backend_spec, robot_spec, cameras)
-        runtime_spec = _resolve_runtime(registry, backend_spec, runtime)
-        acceleration_spec = registry.get(AccelerationSpec, acceleration) if acceleration else None
+        runtime_spec = _resolve_runtime(registry, backend_spec, runtime, is_elsewhere)
+        acceleration_spec = (
+            registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere) if acceleration else None
+        )
         if acceleration_spec is not None:
             _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
     return Plan(
@@ -104,14 +114,14 @@ def _listed(names: object) -> str:
     return ", ".join(str(n) for n in names) or "none"  # type: ignore[attr-defined]
 
 
-def _check_driver(robot: RobotSpec, name: str) -> DriverSpec:
+def _check_driver(robot: RobotSpec, name: str, is_elsewhere: bool) -> DriverSpec:
     driver = robot.driver(name)
     if driver is None:
         raise PlanningError(
             f"Robot {robot.name!r} has no driver {name!r}; choose one of: {_listed(d.name for d in robot.drivers)}."
         )
     absent = availability.missing(driver.requires)
-    if absent:
+    if absent and not is_elsewhere:
         raise PlanningError(f"Driver {name!r} of robot {robot.name!r} cannot be used: {availability.explain(absent)}")
     return driver
 
@@ -184,7 +194,9 @@ def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[st
     return {role: found[role] for role in roles if role in found}
 
 
-def _resolve_runtime(registry: Registry, backend: BackendSpec, name: str | None) -> RuntimeSpec | None:
+def _resolve_runtime(
+    registry: Registry, backend: BackendSpec, name: str | None, is_elsewhere: bool
+) -> RuntimeSpec | None:
     fitting = [r.name for r in registry.specs(RuntimeSpec).values() if backend.family and backend.family in r.families]
     wanted = name or backend.default_runtime
     if not wanted:
@@ -196,7 +208,7 @@ def _resolve_runtime(registry: Registry, backend: BackendSpec, name: str | None)
         return None
     if not backend.family:
         raise PlanningError(f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.")
-    runtime = registry.get(RuntimeSpec, wanted)
+    runtime = registry.get(RuntimeSpec, wanted, elsewhere=is_elsewhere)
     if backend.family not in runtime.families:
         raise PlanningError(
             f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend {backend.name!r} is of "

@@ -112,6 +112,33 @@ def test_a_robot_alone_is_a_plan():
     assert (plan.robot.name, plan.backend, dict(plan.cameras)) == ("rover", None, {})
 
 
+LACKING = Registry(
+    plugins=(),
+    all_offers=tuple(
+        Offer(spec=s, distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.")
+        if not isinstance(s, RobotSpec)
+        else Offer(spec=s, distribution="rn-test", status=Status.READY)
+        for s in SPECS
+    ),
+)
+ELSEWHERE = {
+    "driver": {"driver": "hardware"},
+    "perception": {"perception": "camera"},
+    "controller": {"controller": "ik"},
+    "backend": {"backend": "vla", "runtime": "local", "acceleration": "prune"},
+}
+
+
+@pytest.mark.parametrize("part", ELSEWHERE)
+def test_what_runs_under_another_interpreter_may_lack_its_modules_here(part):
+    names = {"robot": "arm", "driver": "simulated", **ELSEWHERE[part]}
+    plan = check_plan(LACKING, **names, elsewhere=(part,))
+    assert {name: getattr(plan, name).name for name in ELSEWHERE[part]} == ELSEWHERE[part]
+    others = set(ELSEWHERE) - {part}
+    with pytest.raises((PlanningError, ConfigurationError), match="cannot be used"):
+        check_plan(LACKING, **names, elsewhere=others)
+
+
 REFUSALS = {
     "unknown driver": ({"driver": "simulate"}, "no driver 'simulate'; choose one of: simulated, hardware"),
     "driver lacks a module": ({"driver": "hardware"}, "'hardware' of robot 'arm' cannot be used: .*pip install x"),

@@ -56,7 +56,13 @@ class ControlModule(Module):
         self._hold_is_due = False
         registry = discover(self.config.disabled_plugins)
         section = self.config.robot
-        check_plan(registry, robot=section.name, driver=section.driver, controller=config.controller)
+        check_plan(
+            registry,
+            robot=section.name,
+            driver=section.driver,
+            controller=config.controller,
+            elsewhere=("driver",),
+        )
         profile = load_profile(registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
         spec = registry.get("controller", config.controller)

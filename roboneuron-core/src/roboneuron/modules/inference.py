@@ -82,6 +82,7 @@ class InferenceModule(Module):
             runtime=config.runtime,
             acceleration=config.acceleration,
             cameras=config.cameras,
+            elsewhere=("driver",),
         )
         spec = registry.get(BackendSpec, config.backend)
         profile = load_profile(registry, robot.name)

@@ -99,11 +99,12 @@ class Registry:
         return MappingProxyType({o.spec.name: o.spec for o in offers if o.status is Status.READY})
 
     @overload
-    def get(self, kind: type[S], name: str) -> S: ...
+    def get(self, kind: type[S], name: str, *, elsewhere: bool = False) -> S: ...
     @overload
-    def get(self, kind: str, name: str) -> Spec: ...
-    def get(self, kind: str | type[Spec], name: str) -> Spec:
-        """The usable descriptor of that kind (or class) and name.
+    def get(self, kind: str, name: str, *, elsewhere: bool = False) -> Spec: ...
+    def get(self, kind: str | type[Spec], name: str, *, elsewhere: bool = False) -> Spec:
+        """The usable descriptor of that kind (or class) and name; `elsewhere`: modules that it needs may be absent
+        here, for it runs under another interpreter.
 
         Raises:
             ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown), what the choices are
@@ -114,6 +115,8 @@ class Registry:
         if name in ready:
             return ready[name]
         claims = [o for o in self.offers(kind) if o.spec.name == name]
+        if elsewhere and [o.status for o in claims] == [Status.UNAVAILABLE]:
+            return claims[0].spec
         if claims:
             reasons = " ".join(dict.fromkeys(f"{o.status}: {o.reason}" for o in claims))
             raise ConfigurationError(

@@ -136,13 +136,15 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
 
 def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
-    check = partial(check_plan, registry, robot=config.robot.name, driver=config.robot.driver)
+    driver = ("driver",) if config.robot.python else ()
+    check = partial(check_plan, registry, robot=config.robot.name, driver=config.robot.driver, elsewhere=driver)
     match section:
         case RobotConfig():
-            plan = check(robot=section.name, driver=section.driver)
+            driver = ("driver",) if section.python else ()
+            plan = check(robot=section.name, driver=section.driver, elsewhere=driver)
             return plan, plan.driver, {"robot": section.name, "driver": section.driver}
         case PerceptionConfig():
-            plan = check(perception=section.source)
+            plan = check(perception=section.source, elsewhere=(*driver, "perception") if section.python else driver)
             assert plan.perception is not None
             known = [camera.name for camera in plan.robot.cameras]
             for camera in section.cameras:
@@ -153,11 +155,12 @@ def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, S
                     )
             return plan, plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
         case ControlConfig():
-            plan = check(controller=section.controller)
+            plan = check(controller=section.controller, elsewhere=(*driver, "controller") if section.python else driver)
             assert plan.controller is not None
             return plan, plan.controller, {"controller": section.controller}
         case InferenceConfig():
-            plan = check(**section.model_dump(include={"backend", "runtime", "acceleration", "cameras"}))
+            named = section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
+            plan = check(**named, elsewhere=(*driver, "backend") if section.python else driver)
             assert plan.backend is not None
             names = {
                 "backend": section.backend,

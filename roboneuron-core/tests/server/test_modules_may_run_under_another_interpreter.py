@@ -1,0 +1,57 @@
+"""With `python` in its section a module runs elsewhere: what its plugin needs is not looked for in the server."""
+
+from __future__ import annotations
+
+import pytest
+
+from roboneuron.config import Config
+from roboneuron.errors import RoboNeuronError
+from roboneuron.plugins.registry import Offer, Registry, Status
+from roboneuron.plugins.specs import (
+    BackendSpec,
+    CameraSpec,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSpec,
+    Requirement,
+    RobotSpec,
+)
+from roboneuron.server.selection import select
+
+TARGET = "never_imported_module:Thing"
+ABSENT = (Requirement(module="absent_x", install="pip install x"),)
+ARM = RobotSpec(
+    name="arm",
+    summary="A.",
+    target=TARGET,
+    drivers=(DriverSpec(name="hardware", summary="H.", target=TARGET, requires=ABSENT),),
+    cameras=(CameraSpec(name="front", role="primary"),),
+)
+PARTS = (
+    PerceptionSpec(name="camera", summary="C.", target=TARGET, requires=ABSENT),
+    ControllerSpec(name="ik", summary="I.", target=TARGET, requires=ABSENT),
+    BackendSpec(name="policy", summary="P.", target=TARGET, requires=ABSENT),
+)
+REGISTRY = Registry(
+    plugins=(),
+    all_offers=(
+        Offer(spec=ARM, distribution="rn-test", status=Status.READY),
+        *(Offer(spec=s, distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.") for s in PARTS),
+    ),
+)
+SECTIONS = {
+    "robot": {"name": "arm", "driver": "hardware"},
+    "perception": {"source": "camera"},
+    "control": {"controller": "ik"},
+    "inference": {"backend": "policy"},
+}
+
+
+@pytest.mark.parametrize("kind", SECTIONS)
+def test_its_plugin_needs_nothing_here(kind):
+    sections = {name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()}
+    selection = select(kind, Config.model_validate(sections), REGISTRY)
+    assert selection.python == "/other/bin/python"
+    del sections[kind]["python"]
+    with pytest.raises(RoboNeuronError, match="absent_x"):
+        select(kind, Config.model_validate(sections), REGISTRY)
