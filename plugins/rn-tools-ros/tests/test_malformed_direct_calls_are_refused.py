@@ -65,11 +65,12 @@ def broken(value: Any) -> Any:
 def silent(application: Application, monkeypatch: pytest.MonkeyPatch) -> Application:
     """An application without a bus: whatever wants to send is a failure of the test."""
     from roboneuron.server.motion.traffic import Traffic
+    from roboneuron.supervisor.launching import Connection
 
     def refuse(self: Any, *arguments: Any) -> Any:
         pytest.fail("a malformed call reached the bus")
 
-    monkeypatch.setattr(Traffic, "link", refuse)
+    monkeypatch.setattr(Connection, "link", refuse)
     monkeypatch.setattr(Traffic, "writer", refuse)
     return application
 
