@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TypeVar
 
 from roboneuron.errors import PlanningError
 from roboneuron.plugins import availability
@@ -17,8 +18,10 @@ from roboneuron.plugins.specs import (
     PerceptionSpec,
     RobotSpec,
     RuntimeSpec,
+    Spec,
 )
 
+S = TypeVar("S", bound=Spec)
 _EMPTY: Mapping[str, str] = MappingProxyType({})
 
 
@@ -73,14 +76,13 @@ def check_plan(
     """
     robot_spec = registry.get(RobotSpec, robot)
     driver_spec = _check_driver(robot_spec, driver, "driver" in elsewhere)
-    perception_spec = (
-        registry.get(PerceptionSpec, perception, elsewhere="perception" in elsewhere) if perception else None
-    )
-    controller_spec = (
-        registry.get(ControllerSpec, controller, elsewhere="controller" in elsewhere) if controller else None
-    )
-    is_elsewhere = "backend" in elsewhere
-    backend_spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere) if backend else None
+
+    def find(kind: type[S], name: str | None, part: str) -> S | None:
+        return registry.get(kind, name, elsewhere=part in elsewhere) if name else None
+
+    perception_spec = find(PerceptionSpec, perception, "perception")
+    controller_spec = find(ControllerSpec, controller, "controller")
+    backend_spec = find(BackendSpec, backend, "backend")
     if perception_spec is not None:
         _check_perception(perception_spec, robot_spec, driver_spec)
     if controller_spec is not None:
@@ -92,10 +94,8 @@ def check_plan(
     else:
         _check_action_width(backend_spec, robot_spec)
         chosen = _resolve_cameras(backend_spec, robot_spec, cameras)
-        runtime_spec = _resolve_runtime(registry, backend_spec, runtime, is_elsewhere)
-        acceleration_spec = (
-            registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere) if acceleration else None
-        )
+        runtime_spec = _resolve_runtime(registry, backend_spec, runtime, "backend" in elsewhere)
+        acceleration_spec = find(AccelerationSpec, acceleration, "backend")
         if acceleration_spec is not None:
             _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
     return Plan(

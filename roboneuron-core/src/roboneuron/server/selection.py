@@ -134,17 +134,26 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
     return section.model_copy(update={key: value for key, value in named.items() if value is not None})
 
 
+_PARTS: Mapping[type[Section], str] = {
+    RobotConfig: "driver",
+    PerceptionConfig: "perception",
+    ControlConfig: "controller",
+    InferenceConfig: "backend",
+}
+"""What runs in a module, as `check_plan` names it."""
+
+
 def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
-    driver = ("driver",) if config.robot.python else ()
-    check = partial(check_plan, registry, robot=config.robot.name, driver=config.robot.driver, elsewhere=driver)
+    robot = section if isinstance(section, RobotConfig) else config.robot
+    elsewhere = [_PARTS[type(part)] for part in (robot, section) if part.python]
+    check = partial(check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere)
     match section:
         case RobotConfig():
-            driver = ("driver",) if section.python else ()
-            plan = check(robot=section.name, driver=section.driver, elsewhere=driver)
+            plan = check()
             return plan, plan.driver, {"robot": section.name, "driver": section.driver}
         case PerceptionConfig():
-            plan = check(perception=section.source, elsewhere=(*driver, "perception") if section.python else driver)
+            plan = check(perception=section.source)
             assert plan.perception is not None
             known = [camera.name for camera in plan.robot.cameras]
             for camera in section.cameras:
@@ -155,12 +164,11 @@ def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, S
                     )
             return plan, plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
         case ControlConfig():
-            plan = check(controller=section.controller, elsewhere=(*driver, "controller") if section.python else driver)
+            plan = check(controller=section.controller)
             assert plan.controller is not None
             return plan, plan.controller, {"controller": section.controller}
         case InferenceConfig():
-            named = section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
-            plan = check(**named, elsewhere=(*driver, "backend") if section.python else driver)
+            plan = check(**section.model_dump(include={"backend", "runtime", "acceleration", "cameras"}))
             assert plan.backend is not None
             names = {
                 "backend": section.backend,
