@@ -67,4 +67,5 @@ def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], d
     assert done.returncode == 0, done.stdout + done.stderr
     [moved] = re.findall(r'"joint_1": ([\d.]+)', done.stdout)
     assert abs(float(moved) - 0.3) < 0.01  # where move_joints returns
-    assert re.search(r'"error_m": 0\.00[01]', done.stdout)  # within 2 mm, where move_ee returns
+    [error_m] = re.findall(r'"error_m": ([^,]+),', done.stdout)
+    assert float(error_m) < 0.002  # where move_ee returns; may well be 0.0 or 2e-05
