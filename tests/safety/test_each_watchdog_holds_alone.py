@@ -64,6 +64,7 @@ def test_robot_holds_when_control_is_gone(arm: Any, wait: Wait, moving: None, en
 def test_control_that_wakes_up_drops_what_it_slept_through(arm: Any, wait: Wait) -> None:
     arm.start("robot", "control")
     wait(lambda: arm.actions.get_subscription_count() >= 2, 5.0, "control listens")
+    time.sleep(2 * arm.config.control.action_timeout_s)  # an action of the test before may still be under way
     wait(arm.is_still, 5.0, "the arm stands")
     pid = arm.pid("control")
     os.kill(pid, signal.SIGSTOP)

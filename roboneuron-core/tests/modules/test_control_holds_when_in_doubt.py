@@ -222,3 +222,22 @@ def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
     assert wait_until(lambda: cell.dropped("long_command") == 1)
     assert cell.value("hold_code") == "long_command"
     assert not cell.commands
+
+
+def test_a_command_that_was_ready_too_late_is_not_sent(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = cell.control.module._controller
+    compute = controller.compute
+
+    def linger(*arguments: Any) -> Any:
+        time.sleep(0.4)  # as a frozen process does, or a slow controller; 0.3 s are allowed
+        return compute(*arguments)
+
+    monkeypatch.setattr(controller, "compute", linger)
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("stale_action") == 1, 2.0)
+    assert cell.value("note").startswith("holding: A command was ready only 0.4")
+    assert not cell.commands
+    monkeypatch.undo()
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert cell.last() == pytest.approx([0.51, -0.5])

@@ -192,6 +192,13 @@ class ControlModule(Module):
         if isinstance(outcome, JointCommand):
             outcome = self._guard.judge(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
+        message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
+        took_s = time.monotonic() - now_s
+        if message is not None and (late := self._why_not(age_s + took_s, source_ns)):
+            # A slow controller, or a process that was frozen meanwhile: the command answers to what is past. Checked
+            # last, because a process that is frozen after this check sends it when it wakes up.
+            outcome = Hold(code=late, reason=f"A command was ready only {took_s:.3g} s after its action.")
+            self._guard.rest(None, now_s)
         if outcome is None:  # refused: what was sent before comes to its end, and is then held by the watchdog
             return
         self._action_s = now_s
@@ -199,7 +206,7 @@ class ControlModule(Module):
             self.status.dropped.add(outcome.code)
             self._hold(outcome.code, outcome.reason)
             return
-        self._send(outcome)
+        self._command.publish(message)
         self.handover.note_sent("command")
         self._is_sent = True
         self._holding = self._hold_is_due = False
@@ -264,11 +271,10 @@ class ControlModule(Module):
         self._hold_is_due = False
         arm = self._profile.arm_joints
         position = pick(joints.names, joints.position, arm)
-        self._send(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
+        self._command.publish(self._to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)))
         self._guard.rest(joints, time.monotonic())
 
-    def _send(self, command: JointCommand) -> None:
+    def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
         if self._limits.command == "joint_trajectory":
-            self._command.publish(to_joint_trajectory(command))
-        else:
-            self._command.publish(to_joint_command_state(command, self.node.now_ns()))
+            return to_joint_trajectory(command)
+        return to_joint_command_state(command, self.node.now_ns())
