@@ -98,7 +98,7 @@ def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, l
     page.close()
     viewer.close()
     camera.close()
-    source.close()
+    graph.close()
     ages_ms = []
     for at_s, level in changes:
         before = [s for s, other in sent if other == level and s <= at_s]

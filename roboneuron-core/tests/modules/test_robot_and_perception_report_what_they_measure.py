@@ -203,6 +203,30 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     assert wait_until(lambda: events[-1] == "hold", 1.0), events
 
 
+def test_a_trajectory_that_was_frozen_is_not_taken_up_again(
+    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = robot.module.driver
+    send = driver.send
+
+    def frozen(command: JointCommand) -> JointCommand:
+        time.sleep(0.5)  # as SIGSTOP does to the process; command_timeout_s is 0.3
+        return send(command)
+
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    publisher.publish(long_trajectory(5, 0.05))
+    assert wait_until(lambda: len(driver.sent) == 5), "without it the whole trajectory is played"
+    monkeypatch.setattr(driver, "send", frozen)
+    publisher.publish(long_trajectory(5, 0.05))
+    assert wait_until(lambda: driver.holds == 1, 2.0)
+    assert len(driver.sent) == 6
+    assert int(status_of(robot)["dropped.stale_command"]) == 1
+    monkeypatch.undo()
+    publisher.publish(command(0.5))
+    assert wait_until(lambda: driver.position[0] == 0.5)
+    assert len(driver.sent) == 7
+
+
 def test_deactivation_holds(world: Any, robot: Any) -> None:
     assert world.run(robot.trigger_deactivate) is TransitionCallbackReturn.SUCCESS
     assert robot.module.driver.holds == 1

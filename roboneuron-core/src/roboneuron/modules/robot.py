@@ -40,6 +40,7 @@ class RobotModule(Module):
         self._next_state_s = 0.0
         self._detail_s = 0.0
         self._pending: list[JointCommand] = []
+        self._due_s = 0.0
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
@@ -125,7 +126,7 @@ class RobotModule(Module):
             self.status.set_error(error)
             return
         with self._arrived:
-            self._pending = commands
+            self._pending, self._due_s = commands, time.monotonic()
             self._arrived.notify()
 
     def _accepts(self, info: dict[str, Any]) -> bool:
@@ -151,6 +152,14 @@ class RobotModule(Module):
                 return
             plan = self._pending
             command = plan.pop(0)
+            began_s = time.monotonic()
+            is_late = began_s - self._due_s > self.config.robot.command_timeout_s
+            if is_late:  # this process was frozen, or the driver did not return: what is left of the plan is past
+                self._pending = []
+        if is_late:
+            self.status.dropped.add("stale_command")
+            self.driver.hold()
+            return
         try:
             sent = self.driver.send(command)
         except RoboNeuronError as error:
@@ -166,7 +175,8 @@ class RobotModule(Module):
         self._player.limit_s = sent.duration_s + LIMIT_S
         self._player.progress()
         with self._arrived:
-            if plan:
+            if plan and self._pending is plan:
+                self._due_s = began_s + sent.duration_s
                 self._arrived.wait_for(lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s)
 
     def _hold_when_silent(self) -> None:

@@ -28,7 +28,8 @@ class FciDriverOptions(BaseModel):
         default=0.3,
         gt=0.0,
         le=0.5,
-        description="Share of velocity, acceleration and jerk that motions may use; a stop uses all of it.",
+        description="Share of velocity, acceleration and jerk that motions may use; a stop uses all of it. Where the "
+        "kernel is not real-time (simulators), 0.12 withstands longer gaps of the control thread.",
     )
     collision_torque_nm: Annotated[float, ConfigurationOnly()] = Field(
         default=20.0, gt=0.0, le=100.0, description="External joint torque that triggers a reflex."
