@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import random
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 
@@ -42,6 +44,58 @@ def test_two_workers_give_what_one_gives(toy, tmp_path):
     finish(tmp_path / "two", *words, "--workers", "2")
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "two")
     assert len({record.pid for record in read_records(tmp_path / "two")}) == 2
+
+
+@pytest.fixture
+def cluster(toy, tmp_path, monkeypatch):
+    """Address of a Ray cluster of its own, with two CPUs."""
+    import ray
+
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # else it depends on whether this user has a token
+    with socket.socket() as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    address, log = f"{ray.util.get_node_ip_address()}:{port}", tmp_path / "ray.log"  # Ray replaces 127.0.0.1 by it
+    # Not below pytest's folder: Ray's sockets lie there, and their paths may have 107 characters.
+    with tempfile.TemporaryDirectory(prefix="ray-") as folder:
+        words = ("--head", "--block", f"--port={port}", "--num-cpus=2", "--disable-usage-stats")
+        with log.open("w") as output:
+            head = subprocess.Popen(
+                [sys.executable, "-m", "ray.scripts.scripts", "start", f"--temp-dir={folder}", *words],
+                stdout=output, stderr=output,
+            )  # fmt: skip
+        try:
+            until_s = time.monotonic() + 120.0
+            while "runtime started" not in log.read_text(encoding="utf-8"):
+                assert time.monotonic() < until_s, log.read_text(encoding="utf-8")
+                assert head.poll() is None, log.read_text(encoding="utf-8")
+                time.sleep(0.2)
+            yield address
+        finally:
+            children = psutil.Process(head.pid).children(recursive=True) if head.poll() is None else []
+            head.terminate()
+            for process in psutil.wait_procs(children, timeout=20.0)[1]:
+                process.kill()
+            head.wait(20)
+
+
+def test_a_cluster_does_what_one_process_does_and_is_used_only_when_named(cluster, tmp_path, monkeypatch):
+    finish(tmp_path / "one", "--episodes", "6")
+    finish(tmp_path / "named", "--episodes", "6", "--workers", "2", "--ray-address", cluster)
+    assert outcomes(tmp_path / "one") == outcomes(tmp_path / "named")
+    monkeypatch.setenv("RAY_ADDRESS", cluster)  # where Ray goes by itself; it has no room for three workers
+    finish(tmp_path / "local", "--episodes", "6", "--workers", "3")
+    assert outcomes(tmp_path / "one") == outcomes(tmp_path / "local")
+
+
+def test_a_cluster_that_is_not_there_is_told(toy, tmp_path):
+    done = subprocess.run(
+        command(tmp_path, "--episodes", "2", "--workers", "2", "--ray-address", "127.0.0.1:9"),
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "There is no Ray cluster at '127.0.0.1:9'" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_an_episode_that_ends_its_worker_is_an_error_and_the_others_go_on(toy, tmp_path):

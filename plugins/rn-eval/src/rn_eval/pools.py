@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
@@ -17,6 +18,7 @@ from roboneuron import ConfigurationError, MissingDependencyError, StateError
 _MOST_DEATHS = 3
 """An episode that has ended so many workers is recorded as an error."""
 _POLL_S = 1.0
+_REACH_S = 5.0
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -133,10 +135,16 @@ class OnRay:
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
             # So many processes as were asked for are to run, however few CPUs the machine has.
             settings |= {"num_cpus": cpus, "include_dashboard": False}
+        else:
+            _check_reach(address)
         try:
-            self._ray.init(address=address, logging_level="ERROR", **settings)
+            # Without an address Ray would join whatever cluster runs on this machine.
+            self._ray.init(address=address or "local", logging_level="ERROR", **settings)
         except ConnectionError as error:
-            raise ConfigurationError(f"There is no Ray cluster at {address!r}: {error}.") from error
+            raise ConfigurationError(
+                f"There is no Ray cluster at {address!r}, or it does not let this user in: {error}.",
+                hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into ~/.ray/auth_token.",
+            ) from error
 
     def _check_room(self, cpus: float, gpus: float) -> None:
         """Ray would let a worker that has no place wait for ever, and its episode with it."""
@@ -203,3 +211,20 @@ def _first_line(error: Exception) -> str:
     """What happened, without Ray's advice. A constructor's failure is told by its last line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if "creation task" in lines[0] or "Traceback" in str(error) else lines[0])[:500]
+
+
+def _check_reach(address: str) -> None:
+    """Ask at once whether anybody listens: Ray itself tries for more than three minutes.
+
+    Raises:
+        ConfigurationError: nobody does.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not port.isdigit():
+        return  # such as "auto", which Ray looks up
+    try:
+        socket.create_connection((host, int(port)), timeout=_REACH_S).close()
+    except (OSError, OverflowError) as error:
+        raise ConfigurationError(
+            f"There is no Ray cluster at {address!r}: {error}.", hint="`ray start --head` prints its address."
+        ) from error
