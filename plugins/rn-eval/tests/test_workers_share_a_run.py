@@ -34,6 +34,16 @@ def finish(folder, *words):
     return done
 
 
+def refused(folder, *words):
+    """What a run of two episodes and two workers says that is refused."""
+    done = subprocess.run(
+        command(folder, "--episodes", "2", "--workers", "2", *words),
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    return done.stderr
+
+
 def outcomes(folder):
     return {record.key: record.outcome for record in read_records(folder)}
 
@@ -89,13 +99,9 @@ def test_a_cluster_does_what_one_process_does_and_is_used_only_when_named(cluste
 
 
 def test_a_cluster_that_is_not_there_is_told(toy, tmp_path):
-    done = subprocess.run(
-        command(tmp_path, "--episodes", "2", "--workers", "2", "--ray-address", "127.0.0.1:9"),
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "There is no Ray cluster at '127.0.0.1:9'" in done.stderr
-    assert "Traceback" not in done.stderr
+    said = refused(tmp_path, "--ray-address", "127.0.0.1:9")
+    assert "There is no Ray cluster at '127.0.0.1:9'" in said
+    assert "Traceback" not in said
 
 
 def test_an_episode_that_ends_its_worker_is_an_error_and_the_others_go_on(toy, tmp_path):
@@ -173,19 +179,9 @@ def test_a_shared_policy_answers_many_workers_at_once(toy, tmp_path):
 
 
 def test_a_policy_that_remembers_cannot_be_shared(toy, tmp_path):
-    done = subprocess.run(
-        command(tmp_path, "--episodes", "2", "--workers", "2", "--policy-actors", "1"),
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "offers no predict_batch" in done.stderr
+    assert "offers no predict_batch" in refused(tmp_path, "--policy-actors", "1")
 
 
 def test_a_gpu_that_is_not_there_is_refused(toy, tmp_path):
     """Ray would wait for it for ever."""
-    done = subprocess.run(
-        command(tmp_path, "--episodes", "2", "--workers", "2", "--policy-gpus", "1000"),
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "2000 GPUs are needed" in done.stderr
+    assert "2000 GPUs are needed" in refused(tmp_path, "--policy-gpus", "1000")
