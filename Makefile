@@ -16,7 +16,7 @@ N ?= 50
 LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
-  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
+  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-selection plugins/rn-switching plugins/rn-tools-ros \
   plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
 FLEET_PACKAGES := plugins/rn-fleet plugins/rn-robot-bases plugins/rn-tasks
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes

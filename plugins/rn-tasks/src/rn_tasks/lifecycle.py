@@ -7,15 +7,15 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_selection.choosing import choose
+from rn_selection.requests import StartInference
 from rn_tasks.starting import ParallelStart, requests_for
 from roboneuron.config.models import ModelConfig
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.host import Host
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.results import ModuleSummary, module_summary
-from roboneuron.server.selection import select
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 
 
@@ -125,7 +125,7 @@ def _info(name: str, model: ModelConfig, host: Host, running: bool) -> ModelInfo
 
 def _problem(name: str, host: Host) -> str:
     try:
-        select("inference", host.config, host.registry, StartInference(model=name, options={}))
+        choose("inference", host.config, host.registry, StartInference(model=name, options={}))
     except RoboNeuronError as error:
         return str(error)
     return ""

@@ -14,7 +14,7 @@ from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, Mod
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import Selection, check_instruction, select
+from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Stage
@@ -58,13 +58,19 @@ class ActionStream:
 
 
 class ClosedLoop:
-    """One robot and the modules around it."""
+    """One robot and the modules around it.
+
+    Attributes:
+        choose: selects what a client asks for; a feature that lets clients choose more puts its own here.
+        on_stop: told of a module before it is stopped.
+    """
 
     def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
         self.base = config
         self.plugins = plugins
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
+        self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self._streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
@@ -87,10 +93,10 @@ class ClosedLoop:
         Nothing is changed.
 
         Raises:
-            RoboNeuronError: as `roboneuron.server.selection.select`, and as `check`.
+            RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = select(kind, config, self.plugins.current(), request, role)
+        selection = self.choose(kind, config, self.plugins.current(), request, role)
         self.check(selection)
         return selection
 

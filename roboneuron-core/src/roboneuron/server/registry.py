@@ -83,6 +83,11 @@ class ToolRegistry:
         """
         self._replace(_FIXED, [*(entry.tool for entry in self._owned[_FIXED].values()), *tools])
 
+    def replace(self, tool: Tool[Any]) -> None:
+        """Have this tool in the place of the one of its name that was added."""
+        entries = [entry.tool for entry in self._owned[_FIXED].values()]
+        self._replace(_FIXED, [tool if entry.name == tool.name else entry for entry in entries])
+
     def remove(self, name: str) -> None:
         """Remove a tool that was added; nothing happens when there is none."""
         self._replace(_FIXED, [entry.tool for entry in self._owned[_FIXED].values() if entry.tool.name != name])
