@@ -54,16 +54,15 @@ def test_an_unexpected_failure_tells_no_internals(application: Application, capl
     async def explode(arguments: NoArguments, context: CallContext) -> Result:
         raise KeyError("/secret/path")
 
-    application.tools.add(
-        Tool(
-            name="explode",
-            title="Explode",
-            description="Fails.",
-            arguments=NoArguments,
-            result=Result,
-            handler=explode,
-        )
+    tool = Tool(
+        name="explode",
+        title="Explode",
+        description="Fails.",
+        arguments=NoArguments,
+        result=Result,
+        handler=explode,
     )
+    application.tools.add_all([tool])
     answer = call(application, "explode", {})
     text = answer.content[0].text  # type: ignore[union-attr]
     assert answer.is_error

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from rn_selection.options import named_models
 from rn_selection.permission import check_may_load, check_may_set
 from rn_selection.requests import REQUESTS
 from roboneuron.config import Config, InferenceConfig
@@ -63,9 +64,10 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
     Raises:
         InvalidInputError: there is no such model, or the request names a part of it too.
     """
-    model = config.models.get(name)
+    models = named_models(config)
+    model = models.get(name)
     if model is None:
-        listed = ", ".join(config.models) or "none; a person adds them as [models.<name>]"
+        listed = ", ".join(models) or "none; a person adds them as [models.<name>]"
         raise InvalidInputError(
             f"There is no model {name[:80]!r}.", hint=f"The configuration has: {listed}.", path="model"
         )

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rn_selection.choosing import choose
+from rn_selection.options import SelectionSections
 from rn_selection.requests import REQUESTS, choices_of
 from roboneuron.errors import InternalError
 from roboneuron.server.feature import Feature
@@ -14,7 +15,7 @@ from roboneuron.server.host import Host
 from roboneuron.server.tool import Tool
 
 
-class SelectionFeature(Feature[None]):
+class SelectionFeature(Feature[SelectionSections]):
     """Lets clients say what start_robot, start_perception, start_control and start_inference start."""
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:

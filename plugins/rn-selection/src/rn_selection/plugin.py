@@ -6,6 +6,8 @@ FEATURE = FeatureSpec(
     name="selection",
     summary="Lets agents choose robot, cameras, controller, policy, checkpoint and options of what they start.",
     target="rn_selection.feature:SelectionFeature",
+    config="rn_selection.options:SelectionSections",
+    sections=("models",),
 )
 """Descriptor of the feature."""
 
