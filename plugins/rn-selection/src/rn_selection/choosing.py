@@ -49,7 +49,7 @@ def choose(
     if model is not None:
         config, request = _with_model(config, request, model)
     section = _section(kind, config, registry, request)
-    plan, spec, names = plan_of(section, config, registry)
+    plan, spec, names = plan_of(kind, section, config, registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and plan.backend is not None and takes_checkpoint(plan.backend):

@@ -8,7 +8,7 @@ from pathlib import Path
 from rn_selection.restricted import restricted_values
 from roboneuron.config import Config
 from roboneuron.errors import CheckpointError, MissingDependencyError, RefusedError
-from roboneuron.gate.request import ADMIN, has_role
+from roboneuron.gate import ADMIN
 from roboneuron.plugins.loading import load_options_model
 from roboneuron.plugins.specs import DriverSpec, Spec
 
@@ -57,7 +57,7 @@ def check_may_set(
             f"Only the configuration may set {_list(barred)}.",
             hint="A person can set it there, or list it in agent_options of [server] for admins.",
         )
-    if keys and not has_role(role, ADMIN):
+    if keys and role != ADMIN:
         raise RefusedError(
             f"Only a client with the role 'admin' may set {_list(keys)}.", hint="Ask a person who has it."
         )

@@ -63,6 +63,7 @@ class ClosedLoop:
     Attributes:
         choose: selects what a client asks for; a feature that lets clients choose more puts its own here.
         on_stop: told of a module before it is stopped.
+        streams: what was sent on action topics, by namespace, see `stream`.
     """
 
     def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
@@ -72,7 +73,7 @@ class ClosedLoop:
         self.emergency_stop = EmergencyStop(supervisor)
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self._streams: dict[str, ActionStream] = {}
+        self.streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
 
     @property
@@ -139,15 +140,9 @@ class ClosedLoop:
     def stream(self, namespace: str) -> ActionStream:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
-            if namespace not in self._streams:
-                self._streams[namespace] = ActionStream(self.supervisor.link, namespace)
-            return self._streams[namespace]
-
-    def last_actions(self, most: int) -> list[dict[str, Any]]:
-        """The newest actions on the present robot's action topic: source time [ns] and values; for the records."""
-        with self._lock:
-            stream = self._streams.get(self.config.namespace)
-        return [{"sent_ns": at, "values": list(values)} for at, values in stream.actions()[-most:]] if stream else []
+            if namespace not in self.streams:
+                self.streams[namespace] = ActionStream(self.supervisor.link, namespace)
+            return self.streams[namespace]
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""

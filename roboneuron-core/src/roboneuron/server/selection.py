@@ -53,7 +53,7 @@ def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
         PlanningError: the parts do not fit together or the robot.
     """
     section = configured_section(kind, config, registry)
-    plan, spec, names = plan_of(section, config, registry)
+    plan, spec, names = plan_of(kind, section, config, registry)
     name = next(iter(names.values()))
     options = dict(config.options(name))
     if isinstance(section, InferenceConfig):
@@ -99,19 +99,13 @@ def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> 
     return section
 
 
-_PARTS: Mapping[type[Section], str] = {
-    RobotConfig: "driver",
-    PerceptionConfig: "perception",
-    ControlConfig: "controller",
-    InferenceConfig: "backend",
-}
-"""What runs in a module, as `check_plan` names it."""
-
-
-def plan_of(section: Section, config: Config, registry: Registry) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
+def plan_of(
+    kind: ModuleKind, section: Section, config: Config, registry: Registry
+) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
     robot = section if isinstance(section, RobotConfig) else config.robot
-    elsewhere = [_PARTS[type(part)] for part in (robot, section) if part.python]
+    parts = {"driver": robot} if section is robot else {"driver": robot, KINDS[kind].offer: section}
+    elsewhere = [name for name, part in parts.items() if part.python]
     check = partial(check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere)
     match section:
         case RobotConfig():
