@@ -2,7 +2,7 @@
 
     python tools/trace_ways.py            # about a minute; needs ROS, the packages of `make demo` and rn-robot-bases
 
-The ways are a call of `publish_cmd_vel` until its message, an image until its joint command, and the key
+The ways are a call of `publish_velocity` until its message, an image until its joint command, and the key
 `control.action_timeout_s` until its use. Every function of the project that is called is noted, per process and thread:
 of the first two ways while a window is open, of the third those that are given a configuration or a part of it. What
 runs all the time, such as the status, shows up in a window too; docs/architecture.md tells the way from what is beside.
@@ -26,12 +26,11 @@ from mcp.client.stdio import stdio_client
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import default_text
-from roboneuron.modules.settings import MODULE_KINDS
 
 HOOK = """
 import json, os, sys, threading, time
 folder = os.environ["TRACE_WAYS"]
-seen, window, flags = {}, "", {}
+seen, window, facts = {}, "", {}
 def source(name):
     for mark in ("/roboneuron/", "/rn_"):
         place = name.rfind(mark)
@@ -44,6 +43,8 @@ def told(frame):
         kind = type(value)
         if kind.__module__ == "roboneuron.config.models" and kind.__name__ in ("Config", "ControlConfig"):
             return True
+        if kind.__name__ == "ModuleSettings":
+            facts.setdefault("kind", value.kind)
         if kind.__name__ in ("ModuleSettings", "Selection", "Choice"):
             return True
     return False
@@ -69,9 +70,11 @@ def look():
         except OSError:
             window = ""
         time.sleep(0.02)
-        with open(os.path.join(folder, f"{os.getpid()}.json"), "w") as file:
-            rows = [[at, *key, function] for key, (at, function) in list(seen.items())]
-            json.dump({"words": sys.argv, "rows": rows}, file)
+        rows = [[at, *key, function] for key, (at, function) in list(seen.items())]
+        path = os.path.join(folder, f"{os.getpid()}.json")
+        with open(path + ".new", "w") as file:
+            json.dump({"words": sys.argv, **facts, "rows": rows}, file)
+        os.replace(path + ".new", path)
 threading.setprofile(None)
 threading.Thread(target=look, daemon=True, name="trace").start()
 threading.setprofile(hook)
@@ -106,9 +109,7 @@ def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
     """What each process has noted: "serve" or the kind of its module, and its first calls."""
     for path in sorted(folder.glob("*.json")):
         told = json.loads(path.read_text())
-        names = {name for _, _, _, name, _ in told["rows"]}
-        kind = next((kind for kind in MODULE_KINDS if f"modules/{kind}.py" in names), "")
-        yield "serve" if "serve" in told["words"] else kind, told["rows"]
+        yield "serve" if "serve" in told["words"] else told.get("kind", ""), told["rows"]
 
 
 async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]) -> None:
@@ -131,7 +132,7 @@ async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[
                 for tool, arguments in calls:
                     answer = await client.call_tool(tool, arguments)
                     assert not answer.is_error, answer.content
-                await anyio.sleep(0.5)
+                await anyio.sleep(2.0)
         await client.call_tool("stop_all", {})
 
 
@@ -139,13 +140,13 @@ def main() -> None:
     """Trace and print the three ways."""
     twist = {"linear": {"x": 0.1, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
     start: list[tuple[str, dict[str, Any]]] = [(f"start_{kind}", {}) for kind in ("robot", "perception", "control")]
-    with tempfile.TemporaryDirectory() as root:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
         base, arm = Path(root) / "base", Path(root) / "arm"
-        publish = ("publish_cmd_vel", {"message": twist, "duration_s": 0.3})
+        publish = ("publish_velocity", {"message": twist, "duration_s": 0.3})
         anyio.run(trace, base, '[robot]\nname = "diffdrive"\n', {"start": start[:1], "warm": [publish], "a": [publish]})
         begin = ("start_inference", {"instruction": "pick up the red cube"})
         anyio.run(trace, arm, default_text(), {"start": [*start, begin], "b": []})
-        print("publish_cmd_vel, from the call to the message")
+        print("publish_velocity, from the call to the message on cmd_vel")
         print_way(base, "a", ("serve",))
         print("an image to a joint command")
         print_way(arm, "b", ("perception", "inference", "control"))
