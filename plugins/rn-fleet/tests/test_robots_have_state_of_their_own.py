@@ -99,7 +99,7 @@ def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> 
         asked.append(question)
         return False
 
-    fleet.features.ask = ask  # type: ignore[method-assign,assignment]
+    fleet.server.ask = ask
     fleet.robots["right-arm"]._is_joining = False
     answer = call(fleet, "reset_emergency_stop", {"robot": "right-arm"})
     assert answer.is_error

@@ -48,9 +48,4 @@ class Clients(Feature[None]):
         listening = ListenHandler(notices.bus)
         server.add_request_handler("subscriptions/listen", types.SubscriptionsListenRequestParams, listening)
         server.announced = NotificationOptions(tools_changed=True)
-
-    async def ask(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, question: str
-    ) -> bool | None:
-        """See Feature: by MCP elicitation."""
-        return await self._questions.ask(request, params, question)
+        server.ask = self._questions.ask

@@ -16,8 +16,6 @@ from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
     from anyio import Event
-    from mcp.server.context import ServerRequestContext
-    from mcp.types import CallToolRequestParams
 
     from roboneuron.server.host import Host
     from roboneuron.server.registry import ToolRegistry
@@ -79,7 +77,7 @@ class Feature(Generic[OptionsT]):
         return ()
 
     def attach(self, host: Host) -> None:
-        """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions.
+        """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions, questions.
 
         Called once, after `tools`. A server of several robots calls it for the first one only, with a host whose
         `server`, `events` and `check_resource` are those of all.
@@ -91,16 +89,6 @@ class Feature(Generic[OptionsT]):
         Raises:
             RoboNeuronError: it cannot work; the server goes on without it unless the configuration names it.
         """
-
-    async def ask(
-        self, request: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
-    ) -> bool | None:
-        """Ask the person behind the client of a tool call; whether they agreed, None when this feature cannot ask.
-
-        Raises:
-            UnfinishedCallError: the question goes out as the answer to the call, which is then made again.
-        """
-        return None
 
     def listen(self, host: Host) -> Transport:
         """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one of the descriptor's.
@@ -148,16 +136,6 @@ class Features:
     def identifies_clients(self) -> bool:
         """Whether one of them tells clients apart by what they alone know."""
         return any(feature.identifies_clients for _, feature in self._all())
-
-    async def ask(
-        self, request: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
-    ) -> bool | None:
-        """See `Feature.ask`: by the first feature that can."""
-        for _, feature in self._all():
-            agreed = await feature.ask(request, params, question)
-            if agreed is not None:
-                return agreed
-        return None
 
     def check(self) -> None:
         """Have every feature check its part of the configuration."""

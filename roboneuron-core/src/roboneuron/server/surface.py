@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any, Protocol, TypeVar, cast
 
@@ -15,7 +15,7 @@ from mcp.server.context import ServerRequestContext
 
 from roboneuron import __version__
 from roboneuron.server.access import holder_of, watching
-from roboneuron.server.feature import Features, Transport
+from roboneuron.server.feature import Transport
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.tool import Stage, UnfinishedCallError
@@ -23,14 +23,23 @@ from roboneuron.server.tool import Stage, UnfinishedCallError
 T = TypeVar("T")
 
 
+Ask = Callable[[ServerRequestContext[Any, Any], types.CallToolRequestParams, str], Awaitable[bool | None]]
+"""Asks the person behind the client of a tool call; whether they agreed, None when it cannot ask.
+
+Raises UnfinishedCallError when the question goes out as the answer to the call, which is then made again.
+"""
+
+
 class AnnouncingServer(Server[Any]):
     """Announces the same on every transport: over HTTP the SDK asks for no options.
 
     Attributes:
         announced: of which changes clients are told while they are connected; set by the feature that tells them.
+        ask: set by the feature that asks clients; None when there is none.
     """
 
     announced = NotificationOptions()
+    ask: Ask | None = None
 
     def create_initialization_options(
         self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
@@ -46,8 +55,6 @@ class Served(Protocol):
     def tools(self) -> ToolRegistry: ...
     @property
     def resources(self) -> Resources: ...
-    @property
-    def features(self) -> Features: ...
     @property
     def server(self) -> AnnouncingServer: ...
     def check(self) -> None: ...
@@ -68,7 +75,7 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
         context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
     ) -> types.CallToolResult | types.InputRequiredResult:
         try:
-            made = RequestContext(context, params, surface.features)
+            made = RequestContext(context, params, server.ask)
             return await surface.tools.call(params.name, params.arguments or {}, made)
         except UnfinishedCallError as question:
             return cast(types.InputRequiredResult, question.result)
@@ -81,7 +88,7 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
     ) -> types.ReadResourceResult:
         return types.ReadResourceResult(contents=[surface.resources.read(str(params.uri))])
 
-    return AnnouncingServer(
+    server = AnnouncingServer(
         name,
         version=__version__,
         instructions=instructions,
@@ -90,17 +97,18 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
         on_list_resources=list_resources,
         on_read_resource=read_resource,
     )
+    return server
 
 
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
     def __init__(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, features: Features
+        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, ask: Ask | None
     ) -> None:
         self._request = request
         self._params = params
-        self._features = features
+        self._ask = ask
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
@@ -121,7 +129,7 @@ class RequestContext:
 
     async def ask(self, question: str) -> bool | None:
         """See `CallContext.ask`."""
-        return await self._features.ask(self._request, self._params, question)
+        return None if self._ask is None else await self._ask(self._request, self._params, question)
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
