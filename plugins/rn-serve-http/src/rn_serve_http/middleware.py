@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 
 from anyio import to_thread
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
@@ -22,7 +23,7 @@ from rn_serve_http.origins import HostRules
 from rn_serve_http.peers import peer_process
 from rn_serve_http.sessions import SESSION_HEADER
 from rn_serve_http.tokens import TokenTable
-from roboneuron.server.access import CONNECTION_KEY, HOLDER_KEY, Holder
+from roboneuron.server.access import HOLDER_KEY, Holder
 from roboneuron.server.envelope import BUSY, is_urgent
 
 log = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ class AccessMiddleware:
         # The SDK binds a session to this user: a session of one token cannot be used with another.
         user = AuthenticatedUser(AccessToken(token="", client_id=account_of(holder), scopes=[holder.role]))
         connection = Connection(receive)
-        inner = {**scope, HOLDER_KEY: holder, CONNECTION_KEY: connection, "user": user}
+        inner = {**scope, HOLDER_KEY: replace(holder, watched=connection.watched), "user": user}
         with self._present(holder.who):
             await self._app(inner, connection.receive, send)
 

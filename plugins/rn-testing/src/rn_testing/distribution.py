@@ -45,9 +45,11 @@ if threading.active_count() > threads: effects.append("starts threads")
 if spent_s > 1.0: effects.append(f"computes for {spent_s:.1f} s")
 sys.stdout = out
 loaded = sorted(set(sys.modules) - before)
-from roboneuron.plugins.discovery import known_hooks, read_module
+from roboneuron.plugins.discovery import discover, read_module
+from roboneuron.plugins.hookspecs import Hooks
 try:
-    read_module(module, known_hooks())
+    bringing = [offer.spec for offer in discover().all_offers if getattr(offer.spec, "hooks", None)]
+    read_module(module, Hooks().extended(bringing))
     problem = ""
 except Exception as error:
     problem = str(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
@@ -21,9 +22,6 @@ from roboneuron.errors import nearest
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
-
-EXIT_OK = 0
-"""It is as asked."""
 
 
 def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
@@ -65,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
-        return EXIT_OK
+        return os.EX_OK
     except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:  # the border to whoever typed the command
         return show_error(error)
 

@@ -10,7 +10,7 @@ from types import NoneType, UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
@@ -41,11 +41,6 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
     if isinstance(spec, FeatureSpec):
         _check_feature(spec)
     return spec
-
-
-def is_compatible(spec: Spec) -> bool:
-    """Whether the descriptor was written for the contract of this core."""
-    return spec.contract == CONTRACT_VERSION
 
 
 def _check_identity(spec: Spec, who: str) -> None:

@@ -20,9 +20,9 @@ import pluggy
 
 from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
 from roboneuron.plugins import availability, hookspecs
-from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec, is_compatible
+from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec
 from roboneuron.plugins.hookspecs import PROJECT, Hooks
-from roboneuron.plugins.registry import SEVERITY, Offer, PluginRecord, Registry, Status
+from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
@@ -70,17 +70,6 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
             waiting.append(claim)
     records += [_examine(claim, hooks) for claim in waiting]
     return _settle(sorted(records, key=lambda r: (r.distribution, r.module)), hooks)
-
-
-def known_hooks() -> Hooks:
-    """The hooks of core and those that installed plugins bring; a plugin that fails brings none."""
-    hooks = Hooks()
-    for point in entry_points(group=PROJECT):
-        try:
-            hooks = hooks.extended(_bringing_hooks(_identify(point)))
-        except RoboNeuronError:
-            continue
-    return hooks
 
 
 def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
@@ -198,7 +187,7 @@ def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
 
 
 def _offer(spec: Spec, distribution: str) -> Offer:
-    if not is_compatible(spec):
+    if spec.contract != CONTRACT_VERSION:
         newer = spec.contract > CONTRACT_VERSION
         advice = "upgrade roboneuron-core" if newer else f"upgrade {distribution}"
         reason = f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
@@ -241,6 +230,6 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
 
 
 def _summarise(record: PluginRecord, offers: tuple[Offer, ...]) -> PluginRecord:
-    worst = max((o.status for o in offers), key=SEVERITY.index, default=record.status)
+    worst = max((o.status for o in offers), key=list(Status).index, default=record.status)
     reasons = dict.fromkeys(f"{o.spec.kind} {o.spec.name}: {o.reason}" for o in offers if o.reason)
     return replace(record, status=worst, reason=" ".join(reasons) or record.reason, offers=offers)

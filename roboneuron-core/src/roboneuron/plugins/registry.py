@@ -26,10 +26,6 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
-SEVERITY: tuple[Status, ...] = tuple(Status)
-"""Statuses from best to worst."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Offer:
     """One descriptor that an installed plugin offers.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
@@ -13,8 +13,6 @@ from roboneuron.server.tool import CallContext, Tool
 
 HOLDER_KEY = "roboneuron.holder"
 """Where a transport of a feature leaves the Holder in the scope of a request."""
-CONNECTION_KEY = "roboneuron.connection"
-"""Where it leaves the WatchedConnection of a request, if a call outlives the loss of its connection."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,11 +23,14 @@ class Holder:
         who: for the audit and the log.
         role: one of ROLES; anything else has no rights.
         client: which of several clients without a token; empty for others.
+        watched: calls a listener when the connection of this request is lost within the block, or was before; None
+            where that cancels the call, as on stdio.
     """
 
     who: str
     role: str
     client: str = ""
+    watched: Callable[[Callable[[], object]], AbstractContextManager[None]] | None = None
 
 
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
@@ -50,20 +51,6 @@ def holder_of(request: Any) -> Holder:
 def is_local(who: str) -> bool:
     """Whether that client was let in without a token; no token can have such a name."""
     return who == LOCAL_AGENT.who or who.startswith(LOCAL_PROCESS.who)
-
-
-class WatchedConnection(Protocol):
-    """The connection that a request came on."""
-
-    def watched(self, listener: Callable[[], object]) -> AbstractContextManager[None]:
-        """Call `listener` when the connection is lost within the block, or was before."""
-        ...
-
-
-def watching(request: Any, listener: Callable[[], object] | None) -> AbstractContextManager[None]:
-    """Call `listener` when the connection of a request is lost; stdio has none, its end cancels the call."""
-    connection: WatchedConnection | None = request.scope.get(CONNECTION_KEY) if request is not None else None
-    return nullcontext() if listener is None or connection is None else connection.watched(listener)
 
 
 def least_role(tool: Tool[Any]) -> str:

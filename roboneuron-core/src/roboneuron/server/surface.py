@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Any, Protocol, TypeVar, cast
 
 import anyio
@@ -14,7 +14,7 @@ from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 
 from roboneuron import __version__
-from roboneuron.server.access import holder_of, watching
+from roboneuron.server.access import holder_of
 from roboneuron.server.feature import Transport
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
@@ -112,6 +112,7 @@ class RequestContext:
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
+        self._watched = holder.watched
         client = request.session.client_params if holder.client.startswith("pid") else None
         if client is not None:  # several clients in one process may be told apart by what they call themselves
             self.who += f" ({''.join(c for c in client.client_info.name[:40] if c.isascii() and c.isalnum())})"
@@ -124,7 +125,8 @@ class RequestContext:
         on_leave: Callable[[], object] | None = None,
     ) -> T:
         """See `CallContext.run`."""
-        with watching(self._request.request, on_leave):
+        watched = self._watched
+        with nullcontext() if on_leave is None or watched is None else watched(on_leave):
             return await self._run(work, on_cancel)
 
     async def ask(self, question: str) -> bool | None:

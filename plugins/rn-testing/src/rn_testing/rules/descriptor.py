@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from roboneuron.plugins.descriptor import check_spec, is_compatible
+from roboneuron.plugins.descriptor import check_spec
 from roboneuron.plugins.loading import load_attribute, load_options_model, load_target
 from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
 
@@ -24,7 +24,8 @@ def _check_well_formed(case: AnyCase) -> None:
 
 
 def _check_compatible(case: AnyCase) -> None:
-    require(is_compatible(case.spec), f"written for contract {case.spec.contract}, this core has {CONTRACT_VERSION}")
+    written = case.spec.contract
+    require(written == CONTRACT_VERSION, f"written for contract {written}, this core has {CONTRACT_VERSION}")
 
 
 def _check_summary(case: AnyCase) -> None:

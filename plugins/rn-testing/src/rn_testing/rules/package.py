@@ -23,7 +23,7 @@ from rn_testing.distribution import (
     source_files,
 )
 from rn_testing.rule import Rule, require
-from roboneuron.plugins.discovery import discover, known_hooks
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.hookspecs import PROJECT
 from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 
@@ -56,9 +56,8 @@ def _check_hooks(case: PackageCase) -> None:
 
 
 def _check_light(case: PackageCase) -> None:
-    brought = {
-        module.__name__.partition(".")[0] for module in known_hooks().containers
-    }  # a suite's descriptor is theirs
+    # a suite's descriptor is theirs
+    brought = {spec.__module__.partition(".")[0] for spec in discover().kinds.values()}
     for point in find_entry_points(case):
         own = brought | {point.module.partition(".")[0], PROJECT, "pluggy"} | sys.stdlib_module_names
         tops = {name.partition(".")[0] for name in probe(case, point.module).loaded}
