@@ -65,7 +65,7 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
         try:
             hooks = hooks.extended(_bringing_hooks(claim))
         except RoboNeuronError as error:
-            records.append(_failed(claim, str(error), _trace(error)))
+            records.append(_failed(claim, error))
         else:
             waiting.append(claim)
     records += [_examine(claim, hooks) for claim in waiting]
@@ -108,8 +108,9 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     return set(wanted)
 
 
-def _failed(claim: _Claim, reason: str, trace: str) -> PluginRecord:
-    return replace(claim.record, status=Status.FAILED, reason=reason, traceback=trace)
+def _failed(claim: _Claim, error: RoboNeuronError) -> PluginRecord:
+    trace = "".join(traceback.format_exception(error.__cause__ or error))
+    return replace(claim.record, status=Status.FAILED, reason=str(error), traceback=trace)
 
 
 def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
@@ -118,16 +119,11 @@ def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
         with redirect_stdout(sys.stderr):
             specs = read_module(claim.point.load(), hooks)
     except PluginError as error:
-        return _failed(claim, str(error), _trace(error))
+        return _failed(claim, error)
     except (Exception, SystemExit) as error:
         where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
-        return _failed(claim, where, traceback.format_exc())
+        return replace(claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc())
     return replace(claim.record, offers=tuple(_offer(spec, claim.record.distribution) for spec in specs))
-
-
-def _trace(error: BaseException) -> str:
-    cause = error.__cause__ or error
-    return "".join(traceback.format_exception(cause))
 
 
 def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
