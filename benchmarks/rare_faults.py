@@ -157,8 +157,9 @@ def main() -> None:
             run_worker(arguments.fault, share, folder, results)
             progress.log(f"{len(results.all)}: {dict(Counter(r['outcome'] for r in results.all))}")
 
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the load ends with it
     with loaded(arguments.load):
-        workers = [threading.Thread(target=work) for _ in range(arguments.workers)]
+        workers = [threading.Thread(target=work, daemon=True) for _ in range(arguments.workers)]
         for worker in workers:
             worker.start()
         for worker in workers:

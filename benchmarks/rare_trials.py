@@ -229,7 +229,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
 
     def look() -> None:
         while not over.wait(0.1):
-            for slot in supervisor.beside("control"):
+            for slot in supervisor.slots["control"][1:]:
                 seen.append(f"{time.time_ns()} new {supervisor.report_of(slot)}")
             seen.append(f"{time.time_ns()} old {supervisor.view('control').report}")
 
@@ -240,7 +240,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     other = "faulty" if choice.names["controller"] == "gantry" else "gantry"
     try:
         witness.more_actions(20, 20.0)
-        switched = switching.switch("control", StartControl(controller=other), "warm", stages.append)
+        switched = switching.switch("control", StartControl(controller=other, options={}), "warm", stages.append)
     except (RoboNeuronError, TimeoutError) as error:
         return {"outcome": _words(str(error)), "error": str(error), "stages": stages, "seen": list(seen)}
     finally:
