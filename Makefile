@@ -172,8 +172,8 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
-	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --no-explicit-package-bases --allow-subclassing-any \
-	  --no-warn-return-any benchmarks tools
+	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
 
 format: $(VENV)/.develop ## put the code into shape
 	$(BIN)/ruff check --fix .
