@@ -254,13 +254,16 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     if gap is None:
         return {"outcome": "no gap is known", "seen": list(seen)}
     times = [at for at, _, _ in witness.commands()]
-    missed = sum(b - a > 1.5e9 / SWITCH_RATE_HZ for a, b in pairwise(times))
+    between_s = [(b - a) / 1e9 for a, b in pairwise(times)]
+    missed = sum(one > 1.5 / SWITCH_RATE_HZ for one in between_s)
+    between_s.remove(min(between_s, key=lambda one: abs(one - gap.gap_s)))  # the switch itself
     actions = [action.at_ns for action in witness.actions()]
     without = sum(b - a > 1.5e9 / SWITCH_RATE_HZ for a, b in pairwise(actions))
     words = {0: "switched", 1: "switched, one missed"}.get(gap.missed, "switched, several missed")
     return {
         "outcome": words,
         "gap_periods": gap.gap_s / gap.period_s,
+        "elsewhere_longest": max(between_s) / gap.period_s,
         "elsewhere_missed": (missed - (gap.missed > 0)) / max(1, len(times)),
         "actions_missed": without / max(1, len(actions)),
     }
