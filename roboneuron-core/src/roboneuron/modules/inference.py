@@ -25,13 +25,12 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.execution import Bounds, Prediction
+from roboneuron.modules.execution import Bounds, Prediction, Row
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.player import RowPlayer
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.discovery import discover

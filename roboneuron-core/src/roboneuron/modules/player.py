@@ -11,9 +11,8 @@ from std_msgs.msg import Float64MultiArray
 
 from roboneuron.contract import ACTION_SIZE
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.execution import ChunkExecutor
+from roboneuron.modules.execution import ChunkExecutor, Row
 from roboneuron.modules.module import ModuleNode
-from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
 from roboneuron.ros.topics import ACTION
 
