@@ -115,7 +115,7 @@ class AdaptiveExecutor(ChunkExecutor):
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
         """As ChunkExecutor."""
         with self.changed:
-            self.heard_s = now_s
+            self._heard_s = now_s
             self._queue.note_sent(vector, now_ns)
 
     def begin_epoch(self) -> None:

@@ -102,7 +102,6 @@ class ChunkExecutor:
 
     Attributes:
         changed: held while anything is decided; notified when rows arrive or are sent, and when an epoch begins.
-        heard_s: monotonic time of the newest row that the predecessor of a handover sent [s].
     """
 
     def __init__(self, bounds: Bounds) -> None:
@@ -111,7 +110,7 @@ class ChunkExecutor:
         self._epoch = 0
         self._step_s: float | None = None
         self._due_s = 0.0
-        self.heard_s = -math.inf
+        self._heard_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
     # -- who predicts
@@ -180,7 +179,7 @@ class ChunkExecutor:
     def due_s(self) -> float | None:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:
-            return max(self._due_s, self.heard_s + self._rows[0].step_s) if self._rows else None
+            return max(self._due_s, self._heard_s + self._rows[0].step_s) if self._rows else None
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.
@@ -217,7 +216,7 @@ class ChunkExecutor:
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
         """Count a row that the predecessor of a handover sent; the next row is due a period after it."""
         with self.changed:
-            self.heard_s = now_s
+            self._heard_s = now_s
             if self._rows:
                 self._rows.popleft()
 
