@@ -7,7 +7,7 @@ from .config.models import (
 )
 from .contract import (
     ACTION_FIELDS as ACTION_FIELDS, ACTION_LABEL as ACTION_LABEL, ACTION_SIZE as ACTION_SIZE,
-    Acceleration as Acceleration, AccelerationChanger as AccelerationChanger, Action as Action,
+    Acceleration as Acceleration, Action as Action,
     ActionChunk as ActionChunk, Ahead as Ahead, AnyAcceleration as AnyAcceleration,
     AnyRuntime as AnyRuntime, Backend as Backend,
     CameraCalibration as CameraCalibration, CameraProfile as CameraProfile,

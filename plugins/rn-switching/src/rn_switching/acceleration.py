@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Any, cast
+from typing import Protocol, cast, runtime_checkable
 
 from rn_switching.standby import ACCELERATION_PARAMETER
-from roboneuron.contract import AccelerationChanger, AnyAcceleration
+from roboneuron.contract import AnyAcceleration
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.inference import InferenceModule
 from roboneuron.modules.module_host import ModuleHost
@@ -15,6 +15,26 @@ from roboneuron.modules.plugin import build
 from roboneuron.plugins.specs import AccelerationSpec
 
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class AccelerationChanger(Protocol):
+    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
+
+    A backend that executes its model itself may offer it likewise. It need not import this.
+    """
+
+    def set_acceleration(self, acceleration: AnyAcceleration | None) -> None:
+        """Execute every later `run` with this preset, or with none.
+
+        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds, holds
+        no more memory afterwards, and answers are then those of a model that was loaded with the preset.
+
+        Raises:
+            RoboNeuronError: why it cannot be; the preset that was in force stays so.
+            StateError: before `load` or after `close`.
+        """
+        ...
 
 
 class AccelerationInForce:
@@ -32,7 +52,7 @@ class AccelerationInForce:
         self._status = host.status
         self._module = module
         parts: tuple[object, ...] = (module.backend, module.runtime)
-        self._changer: AccelerationChanger[Any] | None = next(
+        self._changer: AccelerationChanger | None = next(
             (part for part in parts if isinstance(part, AccelerationChanger)), None
         )
         config = module.config.inference

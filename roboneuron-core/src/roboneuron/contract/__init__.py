@@ -16,15 +16,15 @@ from roboneuron.contract.profile import (
     Workspace, check_twist,
 )
 from roboneuron.contract.protocols import (
-    Acceleration, AccelerationChanger, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource,
-    PostureInspector, RecoverableDriver, RobotDriver, Runtime, Topics,
+    Acceleration, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource, PostureInspector, RobotDriver,
+    Runtime, Topics,
 )
 
 __all__ = [
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "AccelerationChanger", "Action",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "Action",
     "ActionChunk", "Ahead", "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile",
     "CollisionProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits",
     "JointSample", "Observation", "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity",
-    "RecoverableDriver", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
+    "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
     "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
 ]
