@@ -8,6 +8,7 @@ from typing import Any, Literal, cast
 
 from pydantic import Field
 
+from rn_direct_path.feature import gate_of
 from rn_tasks.approval import Approval
 from rn_tasks.arbiter import TaskArbiter
 from rn_tasks.hooks import MonitorSpec
@@ -180,7 +181,7 @@ class TaskTool:
 def profile_of(host: Host) -> RobotProfile | None:
     """Facts of the present robot; None for one that no plugin describes."""
     name = host.config.robot.name
-    return next((e.profile for e in host.gate.exposed if e.profile is not None and e.robot == name), None)
+    return next((e.profile for e in gate_of(host).exposed if e.profile is not None and e.robot == name), None)
 
 
 def topics_of(predicate: Predicate) -> Mapping[str, str]:

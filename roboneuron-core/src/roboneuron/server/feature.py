@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from roboneuron.config import STDIO, Config, feature_options, transport_feature
-from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
+from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError, StateError
+from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
@@ -63,6 +65,16 @@ class Feature(Generic[OptionsT]):
         """Whether it tells clients apart by what they alone know, such as a token."""
         return False
 
+    @property
+    def gate(self) -> object | None:
+        """What it lends the other features as `Host.gate`; None for all but the one that sends for them."""
+        return None
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it moves a robot now, beside the closed loop."""
+        return False
+
     def check(self, config: Config) -> None:
         """Check what the options alone do not tell (files, environment); for `config check` and before `listen`.
 
@@ -77,6 +89,20 @@ class Feature(Generic[OptionsT]):
     def resources(self, host: Host) -> Sequence[Resource]:
         """Resources for the agent. Called once, after `tools`."""
         return ()
+
+    def complete(self, host: Host) -> None:
+        """Take in what the other features have added. Called once, after the `tools` of all of them.
+
+        Raises:
+            RoboNeuronError: nothing may be served, whether the configuration asks for this feature or not.
+        """
+
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        """End everything that it moves; whether all has ended within `timeout_s`. Called from any thread.
+
+        Nobody looks after the robot any more, or the server closes: then before the modules are stopped.
+        """
+        return True
 
     def attach(self, host: Host) -> None:
         """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions.
@@ -180,7 +206,45 @@ class Features:
             self._attempt(spec, "asked for its tools", add)
             if spec.name in self.failed:
                 tools.replace_derived(spec.name, ())
+        if len(lenders := sorted(self._lenders())) > 1:
+            raise ConfigurationError(
+                f"The features {' and '.join(map(repr, lenders))} lend a gate each; a server has one.",
+                hint="Name the distribution of one of them in disabled_plugins.",
+            )
+        for spec, feature in self._all():
+            self._attempt(spec, "completed", partial(feature.complete, host), must_work=True)
         return resources
+
+    def gate(self) -> object:
+        """What a feature lends the others as `Host.gate`.
+
+        Raises:
+            StateError: none does.
+        """
+        lenders = self._lenders()
+        if lenders:
+            return lenders[next(iter(lenders))]
+        package = package_of("feature", "direct-path")
+        raise StateError(
+            "No feature sends messages for others here.", hint=f"Run: {install_command(package)}" if package else ""
+        )
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether one of them moves a robot now."""
+        return any(feature.is_moving for _, feature in self._all())
+
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        """Have every feature end what it moves; whether all has ended within `timeout_s`."""
+        deadline_s = time.monotonic() + timeout_s
+        ended = True
+        for name, feature in list(self._loaded.items()):
+            try:
+                ended &= feature.end_motion(reason, max(0.0, deadline_s - time.monotonic()))
+            except Exception:  # the border to a plugin's own code; the others end theirs
+                log.exception("The feature %r could not end its motions.", name)
+                ended = False
+        return ended
 
     def attach(self, host: Host) -> None:
         """Have every feature add to the MCP server what clients get besides tools and resources."""
@@ -204,6 +268,10 @@ class Features:
         for name, feature in list(self._loaded.items()):
             yield self._specs[name], feature
 
+    def _lenders(self) -> dict[str, object]:
+        """Gates by the feature that lends each."""
+        return {spec.name: gate for spec, feature in self._all() if (gate := feature.gate) is not None}
+
     def _load(self, spec: FeatureSpec) -> None:
         absent = [need for need in spec.needs if need not in self._loaded]
         if absent:
@@ -216,10 +284,12 @@ class Features:
             raise PluginError(f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a Feature.")
         self._loaded[spec.name] = feature
 
-    def _attempt(self, spec: FeatureSpec, what: str, work: Callable[[], object]) -> None:
+    def _attempt(self, spec: FeatureSpec, what: str, work: Callable[[], object], *, must_work: bool = False) -> None:
         try:
             work()
         except Exception as error:  # the border to a plugin's own code
+            if must_work and isinstance(error, RoboNeuronError):
+                raise
             if not isinstance(error, RoboNeuronError):
                 log.exception("The feature %r failed.", spec.name)
                 reason = f"{type(error).__name__}: {error}"

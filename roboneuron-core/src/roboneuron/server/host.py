@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
-    from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
     from roboneuron.supervisor.supervisor import Supervisor
@@ -48,7 +47,6 @@ class Host:
     Attributes:
         loop: the closed loop: start, steer and stop modules; read what they report.
         supervisor: the processes of the modules.
-        gate: in front of everything that moves a robot: sends what it allows, and lends no publisher.
         audit: the audit log.
         server: the MCP server that every transport serves.
         features: all features of this server.
@@ -62,7 +60,6 @@ class Host:
 
     loop: ClosedLoop
     supervisor: Supervisor
-    gate: MotionGate
     audit: AuditLog
     server: AnnouncingServer
     features: Features
@@ -81,6 +78,22 @@ class Host:
     def registry(self) -> Registry:
         """The installed plugins."""
         return self.loop.plugins.current()
+
+    @property
+    def gate(self) -> object:
+        """In front of everything that moves a robot beside the closed loop: sends what it allows, lends no publisher.
+
+        One installed feature lends it (`Feature.gate`), and its package has a function that gives it its type.
+
+        Raises:
+            StateError: none does: nothing can be sent for an agent.
+        """
+        return self.features.gate()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a policy runs, or a call moves something."""
+        return self.supervisor.view("inference").phase != "stopped" or self.features.is_moving
 
     @property
     def identifies_clients(self) -> bool:
