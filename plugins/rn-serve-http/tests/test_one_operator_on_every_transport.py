@@ -65,7 +65,7 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(
     application = make("[http]\nlease_s = 0.05\n")
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
-    monkeypatch.setattr(application.features, "end_motion", lambda reason, timeout_s: ended.append(reason) is None)
+    monkeypatch.setattr(application, "end_direct_motion", lambda reason, timeout_s: ended.append(reason) is None)
     monkeypatch.setattr(Host, "is_moving", is_moving)
     application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)

@@ -124,7 +124,7 @@ def test_a_client_that_leaves_and_a_server_that_closes_leave_nothing_moving(
 
     ask(scenario)
     left_s = time.monotonic()
-    assert application.features.end_motion("The server is shutting down.", 2.0)
+    assert application.end_direct_motion("The server is shutting down.", 2.0)
     assert rover.on("cmd_vel")[-1].linear.x == 0.0 or time.monotonic() - left_s < STOPPED_S
 
 

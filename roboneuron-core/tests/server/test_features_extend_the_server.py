@@ -286,7 +286,7 @@ def test_motions_of_features_end_before_modules_stop_and_features_close(make, mo
     application = make(spec(Unstoppable, "first"), spec(Sender, "second"))
     monkeypatch.setattr(application.supervisor, "stop_all", lambda within_s: TRACE.append("stop modules"))
     TRACE.clear()
-    assert not application.features.end_motion("The lease has lapsed.", 1.0), "one did not end its motions"
+    assert not application.end_direct_motion("The lease has lapsed.", 1.0), "one did not end its motions"
     application.close()
     ended = ["end: The lease has lapsed.", "end: The server is shutting down."]
     assert TRACE[:4] == [*ended, "stop modules", "close"]

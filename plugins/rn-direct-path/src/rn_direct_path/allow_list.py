@@ -1,4 +1,4 @@
-"""The allow list of direct motion: what core and features expose, checked together, in force at once."""
+"""The allow list of direct motion: what the robot's profile and features expose, checked together, in force at once."""
 
 from __future__ import annotations
 

@@ -155,6 +155,8 @@ class Application:
             end_motion=self.end_motion,
         )
         offered = self.features.offer(self.host, self.tools)
+        with suppress(StateError):  # without a gate nothing is sent for agents; with two the server does not start
+            self.host.gate  # noqa: B018
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
@@ -176,13 +178,25 @@ class Application:
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. What features move first, then modules, then features."""
         self._watch.close()
-        if not self.features.end_motion("The server is shutting down.", _MOTION_S):
+        if not self.end_direct_motion("The server is shutting down.", _MOTION_S):
             log.error("A motion did not end within %g s.", _MOTION_S)
         self.host.audit.close()
         self.supervisor.stop_all(LEAVE_S)
         self.features.close()
         self.supervisor.close()
         self.events.end.tell()
+
+    def end_direct_motion(self, reason: str, timeout_s: float) -> bool:
+        """End all that features move, beside the closed loop; whether it has ended in time. Idempotent."""
+        deadline_s = time.monotonic() + timeout_s
+        ended = True
+        for name, feature in self.features.loaded.items():
+            try:
+                ended &= feature.end_motion(reason, max(0.0, deadline_s - time.monotonic()))
+            except Exception:  # the border to a plugin's own code; the others end theirs
+                log.exception("The feature %r could not end its motions.", name)
+                ended = False
+        return ended
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
@@ -212,6 +226,6 @@ class Application:
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
-        self.features.end_motion(reason, timeout_s)
+        self.end_direct_motion(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from roboneuron.config import STDIO, Config, feature_options, transport_feature
-from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError, StateError
-from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
@@ -98,10 +96,7 @@ class Feature(Generic[OptionsT]):
         """
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End everything that it moves; whether all has ended within `timeout_s`. Called from any thread.
-
-        Nobody looks after the robot any more, or the server closes: then before the modules are stopped.
-        """
+        """End all that it moves, and say whether it ended in time; at the end of the server before modules stop."""
         return True
 
     def attach(self, host: Host) -> None:
@@ -166,6 +161,11 @@ class Features:
         return self._loaded.get(name)
 
     @property
+    def loaded(self) -> Mapping[str, Feature[Any]]:
+        """The loaded features by name, those that others need first."""
+        return dict(self._loaded)
+
+    @property
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
         return tuple(reference for spec, _ in self._all() if (reference := spec.on_join) is not None)
@@ -206,45 +206,9 @@ class Features:
             self._attempt(spec, "asked for its tools", add)
             if spec.name in self.failed:
                 tools.replace_derived(spec.name, ())
-        if len(lenders := sorted(self._lenders())) > 1:
-            raise ConfigurationError(
-                f"The features {' and '.join(map(repr, lenders))} lend a gate each; a server has one.",
-                hint="Name the distribution of one of them in disabled_plugins.",
-            )
         for spec, feature in self._all():
             self._attempt(spec, "completed", partial(feature.complete, host), must_work=True)
         return resources
-
-    def gate(self) -> object:
-        """What a feature lends the others as `Host.gate`.
-
-        Raises:
-            StateError: none does.
-        """
-        lenders = self._lenders()
-        if lenders:
-            return lenders[next(iter(lenders))]
-        package = package_of("feature", "direct-path")
-        raise StateError(
-            "No feature sends messages for others here.", hint=f"Run: {install_command(package)}" if package else ""
-        )
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether one of them moves a robot now."""
-        return any(feature.is_moving for _, feature in self._all())
-
-    def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """Have every feature end what it moves; whether all has ended within `timeout_s`."""
-        deadline_s = time.monotonic() + timeout_s
-        ended = True
-        for name, feature in list(self._loaded.items()):
-            try:
-                ended &= feature.end_motion(reason, max(0.0, deadline_s - time.monotonic()))
-            except Exception:  # the border to a plugin's own code; the others end theirs
-                log.exception("The feature %r could not end its motions.", name)
-                ended = False
-        return ended
 
     def attach(self, host: Host) -> None:
         """Have every feature add to the MCP server what clients get besides tools and resources."""
@@ -267,10 +231,6 @@ class Features:
     def _all(self) -> Iterator[tuple[FeatureSpec, Feature[Any]]]:
         for name, feature in list(self._loaded.items()):
             yield self._specs[name], feature
-
-    def _lenders(self) -> dict[str, object]:
-        """Gates by the feature that lends each."""
-        return {spec.name: gate for spec, feature in self._all() if (gate := feature.gate) is not None}
 
     def _load(self, spec: FeatureSpec) -> None:
         absent = [need for need in spec.needs if need not in self._loaded]

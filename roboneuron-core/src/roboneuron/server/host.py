@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from roboneuron.errors import StateError
+from roboneuron.errors import ConfigurationError, StateError
+from roboneuron.plugins.availability import install_command, package_of
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
@@ -87,13 +88,25 @@ class Host:
 
         Raises:
             StateError: none does: nothing can be sent for an agent.
+            ConfigurationError: two do.
         """
-        return self.features.gate()
+        gates = {name: gate for name, feature in self.features.loaded.items() if (gate := feature.gate) is not None}
+        if not gates:
+            package = package_of("feature", "direct-path")
+            hint = f"Run: {install_command(package)}" if package else ""
+            raise StateError("No feature sends messages for others here.", hint=hint)
+        if len(gates) > 1:
+            raise ConfigurationError(
+                f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a server has one.",
+                hint="Name the distribution of one of them in disabled_plugins.",
+            )
+        return next(iter(gates.values()))
 
     @property
     def is_moving(self) -> bool:
         """Whether a policy runs, or a call moves something."""
-        return self.supervisor.view("inference").phase != "stopped" or self.features.is_moving
+        is_policy = self.supervisor.view("inference").phase != "stopped"
+        return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
 
     @property
     def identifies_clients(self) -> bool:
