@@ -18,7 +18,8 @@ from rn_direct_path.fields import (
     walk_fields,
 )
 from rn_direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
-from roboneuron.contract import TWIST_FIELDS, Endpoint, check_twist
+from rn_direct_path.twists import TWIST_FIELDS, check_twist
+from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
 
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
@@ -101,7 +102,7 @@ def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
 
 
 def check_steering(endpoint: Endpoint, message: Any) -> None:
-    """Raise RefusedError for a velocity that the base cannot carry out. Source: `contract.check_twist`."""
+    """Raise RefusedError for a velocity that the base cannot carry out. Source: `check_twist`."""
     prefix = _TWISTS.get(endpoint.type)
     if prefix is None or endpoint.min_turning_radius_m <= 0.0:
         return
