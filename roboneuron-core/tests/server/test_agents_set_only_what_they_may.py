@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import CheckpointError, InvalidInputError, RefusedError
-from roboneuron.gate.request import ADMIN, OPERATOR
+from roboneuron.gate.roles import ADMIN, OPERATOR
 from roboneuron.plugins.restricted import ConfigurationOnly
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.module_kinds import StartInference

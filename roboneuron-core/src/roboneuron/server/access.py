@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from roboneuron.config import Config
 from roboneuron.errors import CheckpointError, MissingDependencyError, RefusedError
-from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
+from roboneuron.gate.roles import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.plugins.loading import load_options_model
 from roboneuron.plugins.restricted import restricted_values
 from roboneuron.plugins.specs import DriverSpec, Spec
