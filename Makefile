@@ -16,8 +16,8 @@ N ?= 50
 LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
-  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-switching plugins/rn-tools-ros \
-  plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution plugins/rn-direct-path
+  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-selection plugins/rn-switching \
+  plugins/rn-direct-path plugins/rn-tools-ros plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
 FLEET_PACKAGES := plugins/rn-fleet plugins/rn-robot-bases plugins/rn-tasks
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))

@@ -38,10 +38,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell
 from plugin_site import chunks
 
+from rn_selection.requests import StartInference
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.supervisor.health import Health, ModuleView, Watch
 
 sys.path.pop(0)

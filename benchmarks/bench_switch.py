@@ -28,9 +28,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from plugin_site import chunks
 from switch_loop import Sent, moving_loop
 
+from rn_selection.requests import StartInference
 from rn_switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
-from roboneuron.server.module_kinds import StartInference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -15,10 +15,11 @@ from plugin_site import installed
 from shared_memory import repaired
 
 from rn_execution.plugin import FEATURE as EXECUTION
+from rn_selection.choosing import choose
+from rn_selection.requests import StartInference
 from rn_switching.standby import JOIN
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -190,7 +191,9 @@ def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[C
             link = supervisor.link
             witness = JointWitness(link.node, link.on_executor, config.namespace)
             with repaired(supervisor):
-                yield ClosedLoop(config, PluginCatalogue(), supervisor), witness
+                loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+                loop.choose = choose
+                yield loop, witness
         finally:
             supervisor.close()
 

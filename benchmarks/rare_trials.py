@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, config_text, environment, moving_cell
 from switch_loop import Witness, moving_loop
 
+from rn_selection.requests import StartControl
 from rn_switching.replacing import Switching
 from roboneuron.errors import RoboNeuronError
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartControl
 
 sys.path.pop(0)
 

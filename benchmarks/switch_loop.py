@@ -16,10 +16,11 @@ from shared_memory import repaired
 from switch_plugin import named_by
 
 from rn_execution.plugin import FEATURE as EXECUTION
+from rn_selection.choosing import choose
+from rn_selection.requests import StartInference
 from rn_switching.replacing import Switching
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -167,6 +168,7 @@ def moving_loop(
         supervisor.on_join = (EXECUTION.on_join or "",)
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
             loop.start("robot")

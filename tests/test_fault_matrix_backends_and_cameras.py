@@ -14,8 +14,8 @@ import pytest
 from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from rn_ops.memory import MemoryWatch
 from rn_ops.options import MemoryOptions
+from rn_selection.requests import StartInference
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.results import ModuleStatus, module_status
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -12,8 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from rn_selection.requests import StartInference
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, standing_loop

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_selection.choosing import choose
+from rn_selection.requests import StartControl
 from rn_switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartControl
 from roboneuron.server.plugins import PluginCatalogue
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
@@ -25,6 +26,7 @@ def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
     loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
+    loop.choose = choose
     switching = Switching(loop)
     loop.start("robot")
     loop.start("control")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import anyio
 import pytest
@@ -59,10 +60,13 @@ def test_a_call_that_names_no_robot_is_refused_with_the_choices(
 
 
 def test_a_tool_of_another_robot_is_refused_with_those_that_have_it(call: Call, fleet: Fleet) -> None:
-    fleet.robots["right-arm"].tools.remove("get_status")
-    answer = call(fleet, "get_status", {"robot": "right-arm"})
+    tools = fleet.robots["left"].tools
+    known = tools.get("get_status")
+    assert known is not None
+    tools.add_all([replace(known, name="get_more")])
+    answer = call(fleet, "get_more", {"robot": "right-arm"})
     assert answer.is_error
-    assert answer.content[0].text == "The robot 'right-arm' has no tool get_status. Choose one of: left."
+    assert answer.content[0].text == "The robot 'right-arm' has no tool get_more. Choose one of: left."
 
 
 def test_the_fleet_is_listed(call: Call, fleet: Fleet) -> None:

@@ -7,6 +7,7 @@ from argparse import Namespace
 import pytest
 
 from rn_fleet.plugin import FEATURE
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_testing.fakes import fake_registry
 from roboneuron.cli.serve import with_server
 from roboneuron.config import Config, parse_config
@@ -23,7 +24,7 @@ HTTP = FeatureSpec(
 
 
 def parse(text: str) -> Config:
-    return parse_config(text, registry=fake_registry(FEATURE, HTTP))
+    return parse_config(text, registry=fake_registry(SELECTION, FEATURE, HTTP))
 
 
 def test_each_robot_has_what_is_its_own_and_what_all_share() -> None:
@@ -53,8 +54,8 @@ def test_each_robot_has_what_is_its_own_and_what_all_share() -> None:
     assert (left.limits.max_speed_m_s, right.limits.max_speed_m_s) == (0.3, 0.1)
     assert left.inference is not None
     assert right.inference is None
-    assert (list(left.models), list(right.models)) == (["quick", "slow"], ["quick"])
-    assert left.sections == right.sections == config.sections == {"wire": {"port": 4711}}
+    assert (list(left.sections["models"]), list(right.sections["models"])) == (["quick", "slow"], ["quick"])
+    assert all(one.sections["wire"] == {"port": 4711} for one in (left, right, config))
     assert config.supervisor.state_directory == "/here"
     assert not left.robots
     assert not parse('[robot]\nname = "gantry"\n').robots

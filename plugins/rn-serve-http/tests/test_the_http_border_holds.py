@@ -257,8 +257,8 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
 
         return await context.run(work, on_cancel=cancelled.set)
 
-    application.tools.add(
-        Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)
+    application.tools.add_all(
+        [Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)]
     )
     session = server.open_session(**bearer("operator"))
     body = json.dumps({"jsonrpc": "2.0", "id": 7, "method": "tools/call", "params": {"name": "slow"}}).encode()

@@ -14,11 +14,12 @@ from pathlib import Path
 import psutil
 import pytest
 
+from rn_selection.choosing import choose
+from rn_selection.requests import StartInference
 from rn_switching.replacing import Switched, Switching
 from roboneuron.config import parse_config
 from roboneuron.errors import PlanningError, RefusedError
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView, Report
 from roboneuron.supervisor.supervisor import Supervisor
@@ -62,6 +63,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
         supervisor.on_join = (EXECUTION,)
         try:
             loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
             for kind in ("robot", "perception", "control"):

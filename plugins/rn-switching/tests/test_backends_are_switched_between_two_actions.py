@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from rn_selection.requests import StartInference
 from rn_switching.replacing import Switching
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.server.module_kinds import StartInference
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Sent, Witness, moving_loop, quiet

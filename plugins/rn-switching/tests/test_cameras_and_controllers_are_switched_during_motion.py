@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rn_selection.requests import StartControl, StartPerception
 from rn_switching.replacing import Switching
 from rn_testing.fakes import gantry_profile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartControl, StartPerception
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from switch_loop import Witness, moving_loop, quiet

@@ -10,6 +10,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_switching.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
@@ -21,7 +22,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
-    registry = fake_registry(FEATURE)
+    registry = fake_registry(SELECTION, FEATURE)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),

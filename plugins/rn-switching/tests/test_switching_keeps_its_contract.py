@@ -2,6 +2,7 @@
 
 import pytest
 
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_switching.plugin import FEATURE
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 
@@ -9,7 +10,7 @@ from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContrac
 class TestSwitching(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE)
+        return FeatureCase(spec=FEATURE, needs=(SELECTION,))
 
 
 class TestPackage(PackageContract):

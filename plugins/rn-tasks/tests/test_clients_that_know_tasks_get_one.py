@@ -14,6 +14,7 @@ from mcp import types
 from mcp.shared.memory import create_client_server_memory_streams
 from mcp.shared.message import SessionMessage
 
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_tasks.plugin import FEATURE
 from rn_tasks.task_calls import RELATED, TaskCalls
 from rn_testing.fakes import fake_registry
@@ -223,7 +224,7 @@ def test_a_client_of_an_older_revision_makes_the_plain_call() -> None:
 
 
 def test_the_feature_offers_it(tmp_path: Any) -> None:
-    registry = fake_registry(FEATURE)
+    registry = fake_registry(SELECTION, FEATURE)
     config = parse_config('[robot]\nname = "gantry"\n', registry=registry)
     plugins = PluginCatalogue(discover=lambda disabled: registry)
     application = Application(config, plugins=plugins, supervisor=Supervisor(tmp_path))

@@ -16,6 +16,7 @@ from mcp.shared.exceptions import MCPError
 
 from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_ops.plugin import CLIENTS
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_tasks.events import Crossing
 from rn_tasks.hooks import MonitorSpec
 from rn_tasks.plugin import FEATURE, MONITORS
@@ -49,7 +50,7 @@ approval_roles = ["operator", "admin"]
 def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
     registry = replace(
-        fake_registry(FEATURE, CLIENTS, DIRECT_PATH, *MONITORS), kinds={**KINDS, MonitorSpec.kind: MonitorSpec}
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS), kinds={**KINDS, MonitorSpec.kind: MonitorSpec}
     )
     made = Application(
         parse_config(CONFIG, registry=registry),

@@ -10,11 +10,11 @@ from typing import Any, cast
 
 import pytest
 
+from rn_selection.requests import StartInference
 from rn_tasks.starting import ParallelStart, requests_for
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 
 BOUND_S = 10.0
 

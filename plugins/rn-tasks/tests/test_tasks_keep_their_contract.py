@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from rn_selection.plugin import FEATURE as SELECTION
 from rn_tasks.contract_cases import CASES, RULES, MonitorCase, lifted_case
 from rn_tasks.monitor import Score
 from rn_tasks.plugin import FEATURE
@@ -16,6 +17,7 @@ class TestTasks(FeatureContract):
     def plugin(self) -> FeatureCase:
         return FeatureCase(
             spec=FEATURE,
+            needs=(SELECTION,),
             options={"postures": {"rest": {"joints": {"joint1": 0.1}}}, "tasks": {"max_s": 30.0}},
         )
 

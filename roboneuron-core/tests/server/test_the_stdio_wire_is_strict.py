@@ -107,8 +107,8 @@ def slow_tool(application: Application) -> threading.Event:
 
         return await context.run(work, on_cancel=cancelled.set)
 
-    application.tools.add(
-        Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)
+    application.tools.add_all(
+        [Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)]
     )
     return cancelled
 

@@ -10,10 +10,8 @@ import jsonschema
 import pytest
 from mcp import Client, types
 
-from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 
@@ -67,32 +65,6 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
         assert hints.read_only_hint == reads
         assert bool(hints.destructive_hint) == (tool.name.startswith(("stop_", "emergency", "reset")))
         assert not (hints.read_only_hint and hints.destructive_hint)
-
-
-def test_choices_are_the_installed_plugins_with_their_summaries(application: Application) -> None:
-    tools = listing(application)
-    backend = tools["start_inference"].input_schema["properties"]["backend"]
-    assert sorted(backend["enum"]) == ["heavy", "instant"]
-    assert "instant: Answers at once with a small move along x" in backend["description"]
-    assert tools["start_inference"].input_schema["properties"]["runtime"]["enum"] == ["counting"]
-
-
-def test_a_newly_installed_plugin_appears_as_a_choice(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    site = tmp_path / "site-packages"
-    site.mkdir()
-    monkeypatch.syspath_prepend(str(site))
-    installed: list[BackendSpec] = []
-
-    def discover(disabled: object) -> Registry:
-        return fake_registry(*installed)
-
-    config = Config.model_validate({"robot": {"name": "gantry"}})
-    application = Application(config, plugins=PluginCatalogue(discover=discover))
-    assert "fresh" not in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
-    installed.append(BackendSpec(name="fresh", summary="Just installed.", target="fresh:Fresh"))
-    (site / "fresh-1.0.dist-info").mkdir()
-    assert "fresh" in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
-    application.close()
 
 
 def test_without_plugins_there_are_no_empty_enums() -> None:

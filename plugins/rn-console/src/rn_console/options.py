@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING, get_args, get_origin
 
-from roboneuron.plugins.restricted import is_restricted
+from rn_selection.restricted import is_restricted
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -76,14 +76,19 @@ class Operations(Feature[OpsOptions]):
                 "explanation": EXPLANATIONS[health],
                 "status": status,
                 "log": lines,
-                "actions": self._host.loop.last_actions(_ACTIONS),
+                "actions": self._last_actions(),
             },
         )
+
+    def _last_actions(self) -> list[dict[str, Any]]:
+        stream = self._host.loop.streams.get(self._host.config.namespace)
+        newest = stream.actions()[-_ACTIONS:] if stream is not None else []
+        return [{"sent_ns": at, "values": list(values)} for at, values in newest]
 
     def _note_restart(self, kind: ModuleKind, what: str) -> None:
         log.warning("%s: %s.", kind, what)
         self._host.events.fault.tell(kind, "restart", {"explanation": what})
 
     def _note_memory(self, kind: ModuleKind, what: str) -> None:
-        facts = {"explanation": what, "actions": self._host.loop.last_actions(_ACTIONS)}
+        facts = {"explanation": what, "actions": self._last_actions()}
         self._host.events.fault.tell(kind, "memory", facts)

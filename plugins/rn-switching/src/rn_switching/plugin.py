@@ -6,6 +6,7 @@ FEATURE = FeatureSpec(
     name="switching",
     summary="Replaces a running backend, camera source or controller while the robot moves.",
     target="rn_switching.feature:SwitchingFeature",
+    needs=("selection",),
 )
 """Descriptor of the feature."""
 

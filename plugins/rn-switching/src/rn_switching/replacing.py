@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from rn_selection.requests import StartInference, StartPerception
 from rn_switching.in_place import AccelerationSwitch, differs_in_acceleration_only
 from rn_switching.standby import JOIN
 from rn_switching.switch_checks import CHECKS, SwitchCheck
@@ -14,7 +15,7 @@ from rn_switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron.errors import InvalidInputError, RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop, running_selection
-from roboneuron.server.module_kinds import KINDS, StartInference, StartPerception
+from roboneuron.server.module_kinds import KINDS
 from roboneuron.server.selection import Selection
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report

@@ -8,10 +8,11 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, model_validator
 
+from rn_selection.requests import StartControl, StartInference, StartPerception
 from rn_switching.replacing import Switched, Switching
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KINDS, KindEntry, StartControl, StartInference, StartPerception
+from roboneuron.server.module_kinds import KINDS, KindEntry
 from roboneuron.server.results import ModuleSummary, module_summary
 from roboneuron.server.tool import Arguments, CallContext, Stage, Tool
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_selection.options import named_models
 from rn_tasks.approval import Approval
 from rn_tasks.arbiter import TaskArbiter
 from rn_tasks.events import TASKS, EventLog, Watching
@@ -65,7 +66,7 @@ class TasksFeature(Feature[TasksSections]):
             start_all_tool(host),
             run_task_tool(task),
             move_to_tool(mover, places, approval),
-            *([list_models_tool(host)] if host.config.models else []),
+            *([list_models_tool(host)] if named_models(host.config) else []),
         ]
 
     def resources(self, host: Host) -> Sequence[Resource]:

@@ -7,15 +7,15 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_selection.choosing import choose
+from rn_selection.options import ModelConfig, named_models
+from rn_selection.requests import StartInference
 from rn_tasks.starting import ParallelStart, requests_for
-from roboneuron.config.models import ModelConfig
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.host import Host
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.results import ModuleSummary, module_summary
-from roboneuron.server.selection import select
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 
 
@@ -91,7 +91,7 @@ def list_models_tool(host: Host) -> Tool[Any]:
         running = view.choice.names.get("model") if view.choice is not None and view.phase == "running" else None
         return await context.run(
             lambda _: Models(
-                models=[_info(name, model, host, name == running) for name, model in host.config.models.items()]
+                models=[_info(name, model, host, name == running) for name, model in named_models(host.config).items()]
             )
         )
 
@@ -125,7 +125,7 @@ def _info(name: str, model: ModelConfig, host: Host, running: bool) -> ModelInfo
 
 def _problem(name: str, host: Host) -> str:
     try:
-        select("inference", host.config, host.registry, StartInference(model=name, options={}))
+        choose("inference", host.config, host.registry, StartInference(model=name, options={}))
     except RoboNeuronError as error:
         return str(error)
     return ""

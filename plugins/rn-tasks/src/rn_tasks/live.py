@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 
+from rn_selection.requests import StartInference
 from rn_tasks.inputs import Inputs, pose_of
 from rn_tasks.runner import PolicyState
 from rn_tasks.snapshot import Snapshot, StillClock
@@ -16,7 +17,6 @@ from roboneuron import Frame, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER
 from roboneuron.server.host import Host
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.tool import Picture, Stage
 from roboneuron.supervisor.health import ModuleView, Report
 

@@ -12,6 +12,7 @@ FEATURE = FeatureSpec(
     config="rn_tasks.options:TasksSections",
     sections=("tasks", "postures", "places", "events"),
     hooks="rn_tasks.hooks:HOOKS",
+    needs=("selection",),
 )
 """Descriptor of the feature."""
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from rn_selection.requests import StartInference
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.selection import Selection
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView

@@ -13,6 +13,10 @@ Namespace = Annotated[str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA
 Seconds = Annotated[float, Field(gt=0, le=3600)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
+StartTimeout = Annotated[
+    Seconds | None, Field(description="longest start, loading included; as in [supervisor] when not given")
+]
+Interpreter = Annotated[str | None, Field(description="interpreter of the module's own environment")]
 Reaction = Literal["hold", "scale", "refuse"]
 """At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last command end."""
 CHECKPOINT_START_S = 900.0
@@ -34,10 +38,8 @@ class RobotConfig(Section):
     command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
     server_timeout_s: Seconds = Field(default=2.0, description="the driver holds when the server is frozen this long")
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
-    start_timeout_s: Seconds | None = Field(
-        default=None, description="longest start, loading included; as in [supervisor] when not given"
-    )
-    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    start_timeout_s: StartTimeout = None
+    python: Interpreter = None
 
 
 class PerceptionConfig(Section):
@@ -47,10 +49,8 @@ class PerceptionConfig(Section):
     cameras: tuple[CameraName, ...] = Field(
         default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
     )
-    start_timeout_s: Seconds | None = Field(
-        default=None, description="longest start, loading included; as in [supervisor] when not given"
-    )
-    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    start_timeout_s: StartTimeout = None
+    python: Interpreter = None
 
 
 class InferenceConfig(Section):
@@ -77,19 +77,7 @@ class InferenceConfig(Section):
         default=None,
         description="longest start, loading included; when not given 900 with a checkpoint, else as in [supervisor]",
     )
-    python: str | None = Field(default=None, description="interpreter of the module's own environment")
-
-
-class ModelConfig(Section):
-    """`[models.<name>]`: a policy that agents may choose by its name."""
-
-    backend: Name = Field(description="a backend offered by an installed plugin")
-    checkpoint: str | None = Field(default=None, description="directory of the model's files")
-    profile: str | None = Field(default=None, description="the backend's option `profile`: what the checkpoint expects")
-    runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
-    preset: Name | None = Field(default=None, description="acceleration preset; none when not given")
-    options: dict[str, Any] = Field(default_factory=dict, description="laid over the backend's own in [plugins]")
-    summary: str = Field(default="", description="what it is good for; agents read it in list_models")
+    python: Interpreter = None
 
 
 class ControlConfig(Section):
@@ -105,10 +93,8 @@ class ControlConfig(Section):
     switch_max_difference: Annotated[float, Field(gt=0)] = Field(
         default=0.05, description="a warm switch to commands or TCP poses that differ more [rad or m] is refused"
     )
-    start_timeout_s: Seconds | None = Field(
-        default=None, description="longest start, loading included; as in [supervisor] when not given"
-    )
-    python: str | None = Field(default=None, description="interpreter of the module's own environment")
+    start_timeout_s: StartTimeout = None
+    python: Interpreter = None
 
 
 class SupervisorConfig(Section):
@@ -210,7 +196,6 @@ class Config(Section):
     robot: RobotConfig
     perception: PerceptionConfig | None = None
     inference: InferenceConfig | None = None
-    models: dict[Name, ModelConfig] = Field(default_factory=dict, description="policies by the name agents choose by")
     control: ControlConfig | None = None
     limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()

@@ -10,12 +10,14 @@ from types import NoneType, UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, FeatureSpec, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
 TARGET_PATTERN = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
-"""`target` and `config`: "package.module:attribute"."""
+"""What REFERENCES hold: "package.module:attribute"."""
+REFERENCES = ("target", "config", "case", "hooks", "on_join", "fleet", "fleet_config")
+"""Fields of descriptors that name what is imported later; all but `target` may be None."""
 KEY_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 """Top-level keys of roboneuron.toml."""
 ROBOT_KINDS = ("arm", "base")
@@ -38,8 +40,6 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
         _check_robot(spec)
     if isinstance(spec, FeatureSpec):
         _check_feature(spec)
-    if isinstance(spec, (FeatureSpec, CommandSpec)) and spec.hooks is not None:
-        _check_target(spec.hooks, f"`hooks` of {kind} {spec.name!r}")
     return spec
 
 
@@ -52,11 +52,7 @@ def _check_identity(spec: Spec, who: str) -> None:
     check_name(spec.name, who)
     if not spec.summary.strip() or "\n" in spec.summary:
         raise PluginError(f"The summary of {who} is {spec.summary!r}, expected one line of text.")
-    _check_target(spec.target, f"`target` of {who}")
-    if spec.config is not None:
-        _check_target(spec.config, f"`config` of {who}")
-    if spec.case is not None:
-        _check_target(spec.case, f"`case` of {who}")
+    _check_references(spec, who)
     for requirement in spec.requires:
         if not requirement.module.isidentifier():
             raise PluginError(f"{who} requires {requirement.module!r}, expected a top-level module name.")
@@ -68,9 +64,11 @@ def check_name(name: str, who: str) -> None:
         raise PluginError(f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.")
 
 
-def _check_target(target: str, who: str) -> None:
-    if not TARGET_PATTERN.fullmatch(target):
-        raise PluginError(f"The {who} is {target!r}, expected 'package.module:attribute'.")
+def _check_references(spec: Spec | DriverSpec, who: str) -> None:
+    for name in REFERENCES:
+        target = getattr(spec, name, None)
+        if target is not None and not TARGET_PATTERN.fullmatch(target):
+            raise PluginError(f"The `{name}` of {who} is {target!r}, expected 'package.module:attribute'.")
 
 
 def _check_robot(spec: RobotSpec) -> None:
@@ -81,9 +79,7 @@ def _check_robot(spec: RobotSpec) -> None:
         raise PluginError(f"{who} has no drivers, expected at least one DriverSpec.")
     for driver in spec.drivers:
         check_name(driver.name, f"driver {driver.name!r} of {who}")
-        _check_target(driver.target, f"`target` of driver {driver.name!r} of {who}")
-        if driver.config is not None:
-            _check_target(driver.config, f"`config` of driver {driver.name!r} of {who}")
+        _check_references(driver, f"driver {driver.name!r} of {who}")
     _check_unique((d.name for d in spec.drivers), f"drivers of {who}")
     _check_unique((c.name for c in spec.cameras), f"cameras of {who}")
 
@@ -92,8 +88,6 @@ def _check_feature(spec: FeatureSpec) -> None:
     who = f"feature {spec.name!r}"
     if spec.sections and spec.config is None:
         raise PluginError(f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.")
-    if spec.on_join is not None:
-        _check_target(spec.on_join, f"`on_join` of {who}")
     for key in spec.keys:
         if not KEY_PATTERN.fullmatch(key):
             raise PluginError(f"The section {key!r} of {who} is malformed, expected lower-case letters, digits and _.")

@@ -11,9 +11,10 @@ import traceback
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
+from typing import NamedTuple
 
 import pluggy
 
@@ -31,13 +32,11 @@ _SPEC_MARK = f"{PROJECT}_spec"
 """Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin module."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Claim:
-    """An entry point with its distribution's name and version, which cost reading a file each time they are asked."""
+class _Claim(NamedTuple):
+    """An entry point, and the record of a plugin that is ready and offers nothing."""
 
     point: EntryPoint
-    distribution: str
-    version: str
+    record: PluginRecord
 
 
 def discover(disabled: Collection[str] = ()) -> Registry:
@@ -54,19 +53,19 @@ def discover(disabled: Collection[str] = ()) -> Registry:
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
     """As `discover`, for the given entry points."""
-    claims = sorted((_identify(point) for point in points), key=lambda c: (c.distribution, c.point.value))
-    skipped = _check_disabled(disabled, {c.distribution for c in claims})
+    claims = sorted((_identify(point) for point in points), key=lambda c: (c.record.distribution, c.point.value))
+    skipped = _check_disabled(disabled, {c.record.distribution for c in claims})
     hooks = Hooks()
     records: list[PluginRecord] = []
     waiting: list[_Claim] = []
     for claim in claims:  # what they bring has to be known before any other plugin can offer it
-        if _normalise(claim.distribution) in skipped:
-            records.append(_record(claim, Status.DISABLED, "Disabled by the configuration."))
+        if _normalise(claim.record.distribution) in skipped:
+            records.append(replace(claim.record, status=Status.DISABLED, reason="Disabled by the configuration."))
             continue
         try:
             hooks = hooks.extended(_bringing_hooks(claim))
         except RoboNeuronError as error:
-            records.append(_record(claim, Status.FAILED, str(error), _trace(error)))
+            records.append(_failed(claim, str(error), _trace(error)))
         else:
             waiting.append(claim)
     records += [_examine(claim, hooks) for claim in waiting]
@@ -98,10 +97,11 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
 
 
 def _identify(point: EntryPoint) -> _Claim:
-    if point.dist is None:
-        return _Claim(point=point, distribution=point.name, version="")
-    metadata = point.dist.metadata
-    return _Claim(point=point, distribution=metadata["Name"], version=metadata["Version"] or "")
+    name, version = point.name, ""
+    if point.dist is not None:
+        metadata = point.dist.metadata  # read from a file each time it is asked for
+        name, version = metadata["Name"], metadata["Version"] or ""
+    return _Claim(point, PluginRecord(distribution=name, version=version, module=point.module, status=Status.READY))
 
 
 def _normalise(name: str) -> str:
@@ -119,15 +119,8 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     return set(wanted)
 
 
-def _record(claim: _Claim, status: Status, reason: str = "", trace: str = "") -> PluginRecord:
-    return PluginRecord(
-        distribution=claim.distribution,
-        version=claim.version,
-        module=claim.point.module,
-        status=status,
-        reason=reason,
-        traceback=trace,
-    )
+def _failed(claim: _Claim, reason: str, trace: str) -> PluginRecord:
+    return replace(claim.record, status=Status.FAILED, reason=reason, traceback=trace)
 
 
 def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
@@ -136,11 +129,11 @@ def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
         with redirect_stdout(sys.stderr):
             specs = read_module(claim.point.load(), hooks)
     except PluginError as error:
-        return _record(claim, Status.FAILED, str(error), _trace(error))
+        return _failed(claim, str(error), _trace(error))
     except (Exception, SystemExit) as error:
         where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
-        return _record(claim, Status.FAILED, where, traceback.format_exc())
-    return replace(_record(claim, Status.READY), offers=tuple(_offer(spec, claim.distribution) for spec in specs))
+        return _failed(claim, where, traceback.format_exc())
+    return replace(claim.record, offers=tuple(_offer(spec, claim.record.distribution) for spec in specs))
 
 
 def _trace(error: BaseException) -> str:

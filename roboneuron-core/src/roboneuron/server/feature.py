@@ -276,21 +276,16 @@ def _ordered(specs: Mapping[str, FeatureSpec]) -> list[FeatureSpec]:
     Raises:
         InternalError: features need each other in a circle.
     """
-    ordered: list[FeatureSpec] = []
-    open_names: list[str] = []
+    ordered: dict[str, FeatureSpec] = {}
 
-    def visit(name: str) -> None:
-        spec = specs.get(name)
-        if spec is None or spec in ordered:
-            return
-        if name in open_names:
-            raise InternalError(f"Features need each other: {' -> '.join([*open_names, name])}.")
-        open_names.append(name)
-        for need in spec.needs:
-            visit(need)
-        open_names.pop()
-        ordered.append(spec)
+    def visit(name: str, above: tuple[str, ...] = ()) -> None:
+        if name in above:
+            raise InternalError(f"Features need each other: {' -> '.join([*above, name])}.")
+        if name in specs and name not in ordered:
+            for need in specs[name].needs:
+                visit(need, (*above, name))
+            ordered[name] = specs[name]
 
     for name in specs:
         visit(name)
-    return ordered
+    return list(ordered.values())

@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -127,7 +126,6 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
         result=StartResult,
         handler=handler,
         open_world=True,
-        choices={argument: partial(loop.plugins.choices, kind) for argument, kind in entry.choices.items()},
     )
 
 

@@ -14,7 +14,7 @@ from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, Mod
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.selection import Selection, check_instruction, select
+from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
 from roboneuron.supervisor.launching import Stage
@@ -58,15 +58,22 @@ class ActionStream:
 
 
 class ClosedLoop:
-    """One robot and the modules around it."""
+    """One robot and the modules around it.
+
+    Attributes:
+        choose: selects what a client asks for; a feature that lets clients choose more puts its own here.
+        on_stop: told of a module before it is stopped.
+        streams: what was sent on action topics, by namespace, see `stream`.
+    """
 
     def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
         self.base = config
         self.plugins = plugins
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
+        self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self._streams: dict[str, ActionStream] = {}
+        self.streams: dict[str, ActionStream] = {}
         self._lock = threading.Lock()
 
     @property
@@ -87,10 +94,10 @@ class ClosedLoop:
         Nothing is changed.
 
         Raises:
-            RoboNeuronError: as `roboneuron.server.selection.select`, and as `check`.
+            RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = select(kind, config, self.plugins.current(), request, role)
+        selection = self.choose(kind, config, self.plugins.current(), request, role)
         self.check(selection)
         return selection
 
@@ -133,15 +140,9 @@ class ClosedLoop:
     def stream(self, namespace: str) -> ActionStream:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
-            if namespace not in self._streams:
-                self._streams[namespace] = ActionStream(self.supervisor.link, namespace)
-            return self._streams[namespace]
-
-    def last_actions(self, most: int) -> list[dict[str, Any]]:
-        """The newest actions on the present robot's action topic: source time [ns] and values; for the records."""
-        with self._lock:
-            stream = self._streams.get(self.config.namespace)
-        return [{"sent_ns": at, "values": list(values)} for at, values in stream.actions()[-most:]] if stream else []
+            if namespace not in self.streams:
+                self.streams[namespace] = ActionStream(self.supervisor.link, namespace)
+            return self.streams[namespace]
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""

@@ -4,78 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
 from roboneuron.config import ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
-from roboneuron.server.tool import Arguments
+from roboneuron.server.tool import Arguments, NoArguments
 
 Section = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
-
-Options = Annotated[
-    dict[str, Any],
+Instruction = Annotated[
+    str | None,
     Field(
-        default_factory=dict,
-        description="Over [plugins.<name>] of the configuration; hosts, files, devices and commands stand only there.",
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description='What to do, for instance "pick up the red cube"; can be given later with set_instruction.',
     ),
 ]
-
-
-class StartRobot(Arguments):
-    """Arguments of start_robot."""
-
-    robot: str | None = Field(default=None, description="Which robot; the configured one when omitted.")
-    driver: str | None = Field(
-        default=None, description="How it is moved, see list_robots; the configured driver when omitted."
-    )
-    options: Options
-
-
-class StartPerception(Arguments):
-    """Arguments of start_perception."""
-
-    source: str | None = Field(default=None, description="Where images come from; the configured one when omitted.")
-    cameras: list[str] = Field(
-        default_factory=list, description="Cameras of the robot to serve; all of them when omitted."
-    )
-    options: Options
-
-
-class StartControl(Arguments):
-    """Arguments of start_control."""
-
-    controller: str | None = Field(
-        default=None, description="What turns actions into joint commands; the configured one when omitted."
-    )
-    options: Options
 
 
 class StartInference(Arguments):
     """Arguments of start_inference."""
 
-    backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
-    checkpoint: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Directory of the model's files, for backends that need one; one that the configuration names or "
-        "that lies in its checkpoint_roots.",
-    )
-    runtime: str | None = Field(
-        default=None, description="Engine that executes the model; the backend's own default when omitted."
-    )
-    acceleration: str | None = Field(default=None, description="Acceleration preset; none when omitted.")
-    model: str | None = Field(default=None, description="Instead of these four: one of list_models.")
-    instruction: str | None = Field(
-        default=None,
-        max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do, for instance "pick up the red cube"; can be given later with set_instruction.',
-    )
-    cameras: dict[str, str] | None = Field(
-        default=None, description="Camera name by role of the backend; the robot's own roles when omitted."
-    )
-    options: Options
+    instruction: Instruction = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,10 +34,10 @@ class KindEntry:
 
     Attributes:
         kind: which one; its node class is in `roboneuron.modules.settings.MODULE_CLASSES`.
-        noun: what such a module runs; the argument of its start tool that names it is called so.
+        noun: what such a module runs.
+        offer: kind of the plugins that offer it.
         section: model of its section.
         request: arguments of its start tool.
-        choices: arguments that name plugins -> kind of these plugins.
         title, start_text: of its start tool.
         proof: what shows that a start has succeeded.
         stop_text: effect of its stop tool.
@@ -95,9 +45,9 @@ class KindEntry:
 
     kind: ModuleKind
     noun: str
+    offer: str
     section: type[Section]
     request: type[Arguments]
-    choices: Mapping[str, str]
     title: str
     start_text: str
     proof: str
@@ -108,9 +58,9 @@ _TABLE = (
     KindEntry(
         kind="robot",
         noun="robot",
+        offer="robot",
         section=RobotConfig,
-        request=StartRobot,
-        choices={"robot": "robot"},
+        request=NoArguments,
         title="Start the robot",
         start_text="Connect to the robot, or start its simulation; it holds where it is.",
         proof="its first joint state was measured",
@@ -119,9 +69,9 @@ _TABLE = (
     KindEntry(
         kind="perception",
         noun="source",
+        offer="perception",
         section=PerceptionConfig,
-        request=StartPerception,
-        choices={"source": "perception"},
+        request=NoArguments,
         title="Start the cameras",
         start_text="Open the cameras and publish their images.",
         proof="each camera has delivered its first image",
@@ -130,9 +80,9 @@ _TABLE = (
     KindEntry(
         kind="control",
         noun="controller",
+        offer="controller",
         section=ControlConfig,
-        request=StartControl,
-        choices={"controller": "controller"},
+        request=NoArguments,
         title="Start the controller",
         start_text="Start turning actions into joint commands; the arm holds until actions come.",
         proof="it has received joint states and published the first end-effector pose",
@@ -141,9 +91,9 @@ _TABLE = (
     KindEntry(
         kind="inference",
         noun="backend",
+        offer="backend",
         section=InferenceConfig,
         request=StartInference,
-        choices={"backend": "backend", "runtime": "runtime", "acceleration": "acceleration"},
         title="Start the policy",
         start_text="Load a backend (a vision-language-action model or a classical policy). With an instruction, and "
         "with robot and control running, the robot moves.",

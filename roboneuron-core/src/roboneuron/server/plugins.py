@@ -37,10 +37,6 @@ class PluginCatalogue:
                 self._registry, self._seen = self._discover(self._disabled), now
             return self._registry
 
-    def choices(self, kind: str) -> dict[str, str]:
-        """Usable plugins of a kind: name -> summary."""
-        return {name: spec.summary.rstrip(".") for name, spec in self.current().specs(kind).items()}
-
 
 def _fingerprint() -> tuple[int, ...]:
     """Modification times of the folders in which packages are installed."""

@@ -60,20 +60,11 @@ class ToolRegistry:
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
         self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
-        for tool in tools:
-            self.add(tool)
+        self.add_all(tools)
 
     def add_admission(self, admit: Admission) -> None:
         """Ask this one too before each call; those of features ask who may act now."""
         self._admissions.append(admit)
-
-    def add(self, tool: Tool[Any]) -> None:
-        """Add a tool.
-
-        Raises:
-            InternalError: there is one of that name.
-        """
-        self.add_all([tool])
 
     def add_all(self, tools: Iterable[Tool[Any]]) -> None:
         """Add all of them, or none.
@@ -83,9 +74,10 @@ class ToolRegistry:
         """
         self._replace(_FIXED, [*(entry.tool for entry in self._owned[_FIXED].values()), *tools])
 
-    def remove(self, name: str) -> None:
-        """Remove a tool that was added; nothing happens when there is none."""
-        self._replace(_FIXED, [entry.tool for entry in self._owned[_FIXED].values() if entry.tool.name != name])
+    def replace(self, tool: Tool[Any]) -> None:
+        """Have this tool in the place of the one of its name that was added."""
+        entries = [entry.tool for entry in self._owned[_FIXED].values()]
+        self._replace(_FIXED, [tool if entry.name == tool.name else entry for entry in entries])
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""

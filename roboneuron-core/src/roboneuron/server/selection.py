@@ -1,25 +1,24 @@
-"""From a tool's arguments to the configuration a module is started with; everything unfit is refused here.
+"""What a module is started with; everything unfit is refused here.
 
 Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked beforehand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import CheckpointError, InvalidInputError, MissingDependencyError
+from roboneuron.errors import CheckpointError, InternalError, InvalidInputError, MissingDependencyError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, Spec
-from roboneuron.server.access import check_may_load, check_may_set
-from roboneuron.server.module_kinds import KINDS, Section
+from roboneuron.plugins.specs import BackendSpec, DriverSpec, Spec
+from roboneuron.server.module_kinds import KINDS, Section, StartInference
 from roboneuron.server.tool import Arguments
 
 Options = Mapping[str, Any]
@@ -44,39 +43,23 @@ class Selection:
     python: str | None
 
 
-def select(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None = None, role: str = ""
-) -> Selection:
-    """Check what a client asks for, or without a request what is configured.
-
-    Args:
-        kind: of the module.
-        config, registry: the configuration, and the installed plugins.
-        request: of the kind's model.
-        role: of the client that made the request; "" may set nothing that is restricted.
+def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
+    """Check what is configured.
 
     Raises:
-        InvalidInputError: something needed is not named, the robot has no such camera, or the instruction is blank.
+        InvalidInputError: something needed is not named, or the robot has no such camera.
         CheckpointError: the checkpoint's path does not exist, or the backend takes none.
         ConfigurationError: unknown or unusable names or options.
         PlanningError: the parts do not fit together or the robot.
-        RefusedError: options that only the configuration may set, or a checkpoint outside of what it allows.
     """
-    request = request or KINDS[kind].request()
-    model = getattr(request, "model", None)
-    if model is not None:
-        config, request = _with_model(config, request, model)
-    section = _section(kind, config, registry, request)
-    plan, spec, names = _plan(section, config, registry)
+    section = configured_section(kind, config, registry)
+    plan, spec, names = plan_of(kind, section, config, registry)
     name = next(iter(names.values()))
-    config = _merge(config, name, spec, getattr(request, "options", {}), role)
     options = dict(config.options(name))
     if isinstance(section, InferenceConfig):
-        section = _check_checkpoint(section, plan, config, getattr(request, "checkpoint", None))
+        section = _check_checkpoint(section, plan, config)
         if section.checkpoint is not None:
             options["checkpoint"] = names["checkpoint"] = section.checkpoint
-    if model is not None:
-        names["model"] = model
     config = config.model_copy(update={kind: section})
     _check_options(spec, options, section.python, f"plugins.{name}")
     for part in (plan.runtime, plan.acceleration):
@@ -85,68 +68,44 @@ def select(
     return Selection(kind=kind, config=config, names=names, plan=plan, python=section.python)
 
 
-def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, Arguments]:
-    """The configuration with `[models.<name>]` as what is configured for inference, and the rest of the request.
-
-    Raises:
-        InvalidInputError: there is no such model, or the request names a part of it too.
-    """
-    model = config.models.get(name)
-    if model is None:
-        listed = ", ".join(config.models) or "none; a person adds them as [models.<name>]"
-        raise InvalidInputError(
-            f"There is no model {name[:80]!r}.", hint=f"The configuration has: {listed}.", path="model"
-        )
-    for part in ("backend", "checkpoint", "runtime", "acceleration"):
-        if getattr(request, part) is not None:
-            raise InvalidInputError(f"The model {name!r} names its {part} itself; leave it out.", path=part)
-    parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
-    section = config.inference
-    if section is None or section.backend != model.backend:
-        section = InferenceConfig(backend=model.backend)
-    profile = {} if model.profile is None else {"profile": model.profile}
-    options = {**config.options(model.backend), **profile, **model.options}
-    plugins = {**config.plugins, model.backend: options}
-    config = config.model_copy(update={"inference": section.model_copy(update=parts), "plugins": plugins})
-    return config, request.model_copy(update={"model": None})
+Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
+"""Selects what a client asks for; called with kind, configuration, plugins, request and role; raises as `select`."""
 
 
-def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
-    """The configured section with what the request names; one of its own for another plugin than the configured."""
-    entry = KINDS[kind]
-    field = "name" if kind == "robot" else entry.noun
+def choose_configured(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+) -> Selection:
+    """What is configured, with the instruction that a request names; whatever the role."""
+    if not isinstance(request, KINDS[kind].request | None):
+        raise InternalError(f"Nothing here reads {type(request).__name__}, what a client said of {kind}.")
+    if isinstance(request, StartInference) and request.instruction is not None:
+        section = configured_section(kind, config, registry)
+        update = {"instruction": check_instruction(request.instruction)}
+        config = config.model_copy(update={kind: section.model_copy(update=update)})
+    return select(kind, config, registry)
+
+
+def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> Section:
+    """The section of a kind. Raises InvalidInputError when there is none."""
     section: Section | None = getattr(config, kind)
-    named = {key: getattr(request, key) for key in entry.request.model_fields if key not in ("options", "model")}
-    wanted = named.pop(entry.noun)
-    if section is None and wanted is None:
-        choices = ", ".join(registry.specs(entry.choices[entry.noun]))
+    if section is None:
+        entry = KINDS[kind]
+        choices = ", ".join(registry.specs(entry.offer))
         raise InvalidInputError(
             f"The configuration names no {entry.noun}.",
-            hint=f"Name one: {choices}." if choices else f"No {entry.choices[entry.noun]} plugin is installed.",
+            hint=f"Name one: {choices}." if choices else f"No {entry.offer} plugin is installed.",
             path=entry.noun,
         )
-    if section is None or wanted not in (None, getattr(section, field)):
-        section = entry.section.model_validate({field: wanted})
-    if named.get("instruction") is not None:
-        named["instruction"] = check_instruction(named["instruction"])
-    if kind == "perception":
-        named["cameras"] = tuple(named["cameras"]) or None
-    return section.model_copy(update={key: value for key, value in named.items() if value is not None})
+    return section
 
 
-_PARTS: Mapping[type[Section], str] = {
-    RobotConfig: "driver",
-    PerceptionConfig: "perception",
-    ControlConfig: "controller",
-    InferenceConfig: "backend",
-}
-"""What runs in a module, as `check_plan` names it."""
-
-
-def _plan(section: Section, config: Config, registry: Registry) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
+def plan_of(
+    kind: ModuleKind, section: Section, config: Config, registry: Registry
+) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
     robot = section if isinstance(section, RobotConfig) else config.robot
-    elsewhere = [_PARTS[type(part)] for part in (robot, section) if part.python]
+    parts = {"driver": robot} if section is robot else {"driver": robot, KINDS[kind].offer: section}
+    elsewhere = [name for name, part in parts.items() if part.python]
     check = partial(check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere)
     match section:
         case RobotConfig():
@@ -193,7 +152,15 @@ def check_instruction(text: str) -> str:
     return text.strip()
 
 
-def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config, requested: str | None) -> InferenceConfig:
+def takes_checkpoint(backend: BackendSpec) -> bool:
+    """Whether a backend needs a checkpoint, or has an option for one; raises as `load_options_model`."""
+    if backend.needs_checkpoint:
+        return True
+    model = load_options_model(backend)
+    return model is not None and "checkpoint" in model.model_fields
+
+
+def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
     """The section with an absolute path: the module may run in another working directory."""
     assert plan.backend is not None
     named = section.checkpoint or config.options(section.backend).get("checkpoint")
@@ -205,27 +172,14 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config, requ
                 path="checkpoint",
             )
         return section
-    model = load_options_model(plan.backend) if not plan.backend.needs_checkpoint else None
-    if not plan.backend.needs_checkpoint and (model is None or "checkpoint" not in model.model_fields):
+    if not takes_checkpoint(plan.backend):
         raise CheckpointError(f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named.")
-    if requested is not None:
-        check_may_load(config, requested)
     path = Path(str(named)).expanduser()
     if not path.exists():
         raise CheckpointError(
             f"The checkpoint {str(named)!r} does not exist.", hint=f"Looked for {path.absolute()} on the server's host."
         )
     return section.model_copy(update={"checkpoint": str(path.absolute())})
-
-
-def _merge(config: Config, name: str, spec: Spec | DriverSpec, options: Options, role: str) -> Config:
-    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client may set them."""
-    if not options:
-        return config
-    before = config.options(name)
-    merged = {**before, **options}
-    check_may_set(spec, name, before, merged, config.server.agent_options, role)
-    return config.model_copy(update={"plugins": {**config.plugins, name: merged}})
 
 
 def _check_options(spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None) -> None:

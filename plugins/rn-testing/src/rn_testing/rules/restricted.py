@@ -7,10 +7,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from rn_selection.restricted import looks_restricted, marks
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.restricted import looks_restricted, marks
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
 
 
@@ -55,7 +55,7 @@ RULES: tuple[Rule[Case[Any]], ...] = (
     Rule(
         id="descriptor/restricted-options-marked",
         text="Options that look as if they name hosts, files, commands or secrets say whether agents may set them.",
-        source="roboneuron.plugins.restricted",
+        source="rn_selection.restricted",
         check=_check_restricted_options,
     ),
 )

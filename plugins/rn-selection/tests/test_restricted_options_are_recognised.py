@@ -10,14 +10,10 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import AnyUrl, BaseModel, ConfigDict, Field, FilePath, SecretStr, create_model
 
+from rn_selection.restricted import looks_restricted, restricted_values
 from rn_testing.rules.restricted import unmarked_options
-from roboneuron.plugins.restricted import (
-    SCHEMA_KEY,
-    AgentMaySet,
-    ConfigurationOnly,
-    looks_restricted,
-    restricted_values,
-)
+from roboneuron import AgentMaySet, ConfigurationOnly
+from roboneuron.plugins.restricted import SCHEMA_KEY
 
 
 class Colour(StrEnum):

@@ -10,15 +10,15 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, ConfigDict
 
+from rn_selection.choosing import choose
+from rn_selection.requests import StartInference
 from rn_testing.fakes import fake_registry
+from roboneuron import ConfigurationOnly
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import CheckpointError, InvalidInputError, RefusedError
 from roboneuron.gate.roles import ADMIN, OPERATOR
-from roboneuron.plugins.restricted import ConfigurationOnly
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.server.module_kinds import StartInference
 from roboneuron.server.selection import Selection
-from roboneuron.server.selection import select as select_module
 
 
 class Camera(BaseModel):
@@ -67,7 +67,7 @@ def configuration(more: str = "", server: str = "") -> Config:
 
 
 def select(config: Config, options: dict[str, Any], role: str = OPERATOR, backend: str = "distant") -> Selection:
-    return select_module("inference", config, REGISTRY, StartInference(backend=backend, options=options), role)
+    return choose("inference", config, REGISTRY, StartInference(backend=backend, options=options), role)
 
 
 @pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
@@ -128,9 +128,7 @@ def test_options_of_a_plugin_that_cannot_be_imported_here_are_all_restricted(
 
 
 def load(config: Config, checkpoint: Path | str) -> Selection:
-    return select_module(
-        "inference", config, REGISTRY, StartInference(backend="heavy", checkpoint=str(checkpoint)), OPERATOR
-    )
+    return choose("inference", config, REGISTRY, StartInference(backend="heavy", checkpoint=str(checkpoint)), OPERATOR)
 
 
 def test_a_checkpoint_lies_where_the_configuration_says(tmp_path: Path) -> None:

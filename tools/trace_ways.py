@@ -1,0 +1,157 @@
+"""Trace three ways through the code in a running server, and print the files of each in the order of their first call.
+
+    python tools/trace_ways.py            # about a minute; needs ROS, the packages of `make demo` and rn-robot-bases
+
+The ways are a call of `publish_cmd_vel` until its message, an image until its joint command, and the key
+`control.action_timeout_s` until its use. Every function of the project that is called is noted, per process and thread:
+of the first two ways while a window is open, of the third those that are given a configuration or a part of it. What
+runs all the time, such as the status, shows up in a window too; docs/architecture.md tells the way from what is beside.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+from rn_testing.domain import free_ros_domain
+from roboneuron.config import default_text
+from roboneuron.modules.settings import MODULE_KINDS
+
+HOOK = """
+import json, os, sys, threading, time
+folder = os.environ["TRACE_WAYS"]
+seen, window, flags = {}, "", {}
+def source(name):
+    for mark in ("/roboneuron/", "/rn_"):
+        place = name.rfind(mark)
+        if place >= 0 and "/src/" in name:
+            return name[place + 1:].removeprefix("roboneuron/")
+    return ""
+names = {}
+def told(frame):
+    for value in list(frame.f_locals.values()):
+        kind = type(value)
+        if kind.__module__ == "roboneuron.config.models" and kind.__name__ in ("Config", "ControlConfig"):
+            return True
+        if kind.__name__ in ("ModuleSettings", "Selection", "Choice"):
+            return True
+    return False
+def hook(frame, event, argument):
+    if event != "call":
+        return
+    code = frame.f_code
+    name = names.get(code)
+    if name is None:
+        name = names[code] = source(code.co_filename)
+    if not name or code.co_name.startswith("<"):
+        return
+    thread = threading.current_thread().name
+    if window and (window, thread, name) not in seen:
+        seen[window, thread, name] = time.monotonic_ns(), code.co_name
+    if ("key", thread, name) not in seen and told(frame):
+        seen["key", thread, name] = time.monotonic_ns(), code.co_name
+def look():
+    global window
+    while True:
+        try:
+            window = open(os.path.join(folder, "window")).read()
+        except OSError:
+            window = ""
+        time.sleep(0.02)
+        with open(os.path.join(folder, f"{os.getpid()}.json"), "w") as file:
+            rows = [[at, *key, function] for key, (at, function) in list(seen.items())]
+            json.dump({"words": sys.argv, "rows": rows}, file)
+threading.setprofile(None)
+threading.Thread(target=look, daemon=True, name="trace").start()
+threading.setprofile(hook)
+sys.setprofile(hook)
+"""
+
+
+@contextmanager
+def window(folder: Path, name: str) -> Iterator[None]:
+    """Note every call within the block."""
+    (folder / "window").write_text(name)
+    time.sleep(0.2)
+    yield
+    (folder / "window").unlink()
+    time.sleep(0.2)
+
+
+def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
+    """The files of a way by process and thread, each in the order of its first call."""
+    for kind in kinds:
+        rows = [row for process, found in read(folder) if process == kind for row in found if row[1] == way]
+        threads: dict[str, list[str]] = {}
+        for _, _, thread, name, function in sorted(rows):
+            threads.setdefault(thread, []).append(f"{name} ({function})")
+        for thread, places in threads.items():
+            print(f"  {kind}, {thread}: {', '.join(places)}")
+    names = {row[3] for process, found in read(folder) if process in kinds for row in found if row[1] == way}
+    print(f"  {len(names)} files, {sum(not name.startswith('rn_') for name in names)} of them in core\n")
+
+
+def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
+    """What each process has noted: "serve" or the kind of its module, and its first calls."""
+    for path in sorted(folder.glob("*.json")):
+        told = json.loads(path.read_text())
+        names = {name for _, _, _, name, _ in told["rows"]}
+        kind = next((kind for kind in MODULE_KINDS if f"modules/{kind}.py" in names), "")
+        yield "serve" if "serve" in told["words"] else kind, told["rows"]
+
+
+async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]) -> None:
+    """Serve a configuration, and make the calls of each way within its window."""
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(HOOK)
+    (folder / "roboneuron.toml").write_text(config)
+    environment = {
+        **os.environ,
+        "TRACE_WAYS": str(folder),
+        "PYTHONPATH": str(folder),
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "XDG_STATE_HOME": str(folder / "state"),
+    }
+    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(folder / "roboneuron.toml"), "--log-level", "error"]
+    server = StdioServerParameters(command=sys.executable, args=words, env=environment)
+    async with Client(stdio_client(server), read_timeout_seconds=120) as client:
+        for way, calls in ways.items():
+            with window(folder, way):
+                for tool, arguments in calls:
+                    answer = await client.call_tool(tool, arguments)
+                    assert not answer.is_error, answer.content
+                await anyio.sleep(0.5)
+        await client.call_tool("stop_all", {})
+
+
+def main() -> None:
+    """Trace and print the three ways."""
+    twist = {"linear": {"x": 0.1, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+    start: list[tuple[str, dict[str, Any]]] = [(f"start_{kind}", {}) for kind in ("robot", "perception", "control")]
+    with tempfile.TemporaryDirectory() as root:
+        base, arm = Path(root) / "base", Path(root) / "arm"
+        publish = ("publish_cmd_vel", {"message": twist, "duration_s": 0.3})
+        anyio.run(trace, base, '[robot]\nname = "diffdrive"\n', {"start": start[:1], "warm": [publish], "a": [publish]})
+        begin = ("start_inference", {"instruction": "pick up the red cube"})
+        anyio.run(trace, arm, default_text(), {"start": [*start, begin], "b": []})
+        print("publish_cmd_vel, from the call to the message")
+        print_way(base, "a", ("serve",))
+        print("an image to a joint command")
+        print_way(arm, "b", ("perception", "inference", "control"))
+        print("control.action_timeout_s, from the file to its use")
+        print_way(arm, "key", ("serve", "control"))
+
+
+if __name__ == "__main__":
+    main()
