@@ -50,7 +50,8 @@ approval_roles = ["operator", "admin"]
 def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
     registry = replace(
-        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS), kinds={**KINDS, MonitorSpec.kind: MonitorSpec}
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS),
+        kinds={**KINDS, MonitorSpec.kind: MonitorSpec},
     )
     made = Application(
         parse_config(CONFIG, registry=registry),
