@@ -16,8 +16,8 @@ N ?= 50
 LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
-  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-selection plugins/rn-switching plugins/rn-tools-ros \
-  plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
+  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-selection plugins/rn-switching \
+  plugins/rn-direct-path plugins/rn-tools-ros plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
 FLEET_PACKAGES := plugins/rn-fleet plugins/rn-robot-bases plugins/rn-tasks
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
@@ -172,6 +172,8 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
+	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
 
 format: $(VENV)/.develop ## put the code into shape
 	$(BIN)/ruff check --fix .
@@ -239,7 +241,7 @@ $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
 	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-simulation --editable plugins/rn-tools-ros \
-	  --editable plugins/rn-fleet)
+	  --editable plugins/rn-direct-path --editable plugins/rn-fleet)
 	@touch $@
 
 $(VENV)/.demo-fleet: $(VENV)/.demo

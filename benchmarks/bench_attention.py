@@ -105,14 +105,14 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(0)
-    amx = torch.cpu._is_amx_tile_supported()  # type: ignore[no-untyped-call]
+    amx = torch.cpu._is_amx_tile_supported()
     print(
         f"{platform.machine()} CPU with {torch.backends.cpu.get_cpu_capability()}{' and AMX' if amx else ''}, "
         f"{options.threads} threads, torch {torch.__version__}; one layer of 32 heads of 128, "
         f"best of {options.repeat}\n"
     )
-    heads = ("prompt", "type", "products ms", "softmax ms", "separately ms", "ours ms")
-    heads += ("ours / products", "ours / (products + softmax)")
+    heads = ["prompt", "type", "products ms", "softmax ms", "separately ms", "ours ms"]
+    heads += ["ours / products", "ours / (products + softmax)"]
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     with torch.inference_mode():
         for name in PROMPTS:

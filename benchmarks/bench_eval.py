@@ -53,6 +53,8 @@ def plain_episode(runner: Runner, episode: Episode, *, with_limits: bool) -> int
             if with_limits:
                 scene.act(row, now_s)
             else:
+                assert setup.controller is not None
+                assert observation.joints is not None
                 command = setup.controller.compute(Action.from_vector(row), observation.joints, 0.1)
                 if isinstance(command, JointCommand):
                     simulation.set_target(command.names, command.position, command.duration_s)

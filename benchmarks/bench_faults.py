@@ -175,7 +175,8 @@ class Bench:
         self._start(kind)
 
     def _start(self, kind: ModuleKind) -> None:
-        self.loop.start(kind, StartInference(instruction="swing") if kind == "inference" else None)
+        arguments = StartInference(instruction="swing", options={}) if kind == "inference" else None
+        self.loop.start(kind, arguments)
 
     def attempt(self, what: str, trial: Callable[[], None]) -> None:
         """Run a trial; what it did not see is told, and the cell brought up again."""
@@ -262,7 +263,7 @@ def main() -> int:
             try:
                 for trial in range(arguments.trials):
                     for kind in ("inference", "perception", "control"):
-                        bench.attempt(f"{kind} killed", partial(bench.kill, kind))  # type: ignore[arg-type]
+                        bench.attempt(f"{kind} killed", partial(bench.kill, kind))
                     bench.attempt("inference frozen", bench.freeze)
                     bench.stops()
                     progress.log(f"trial {trial + 1}/{arguments.trials}")

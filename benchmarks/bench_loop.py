@@ -32,7 +32,7 @@ from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.lifecycle import LifecycleClient
+from roboneuron.supervisor.lifecycle import NodeClient
 
 HERE = Path(__file__).parent
 RATE_HZ = 30.0
@@ -142,7 +142,7 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
     link = RosLink("bench_lifecycle")
     link.open()
     try:
-        client = LifecycleClient(link, "/bench/inference", Changes(), check, lambda digest: None)
+        client = NodeClient(link, Changes(), "/bench/inference", lambda digest: None, check)
         if not client.wait_until_served(TRANSITION_S):
             sys.exit(f"the inference process did not come up within {TRANSITION_S:g} s:\n{log.read_text()}")
         for transition in ("configure", "activate"):

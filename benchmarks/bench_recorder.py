@@ -223,11 +223,11 @@ def measure(directory: Path, seconds: float, pairs: int) -> None:
     print(f"\nimage -> action, p99: {p99[True] / p99[False]:.2f} x that without the recorder")
     for run in Store(directory / "runs").runs():
         size = run.size_bytes / 1e6
-        counts = {topic: c for topic, c in count_topics(run.files).items() if topic.startswith("/bench/")}
-        lost = {topic: c.lost for topic, c in counts.items()}
-        print(f"{run.id}: {sum(c.messages for c in counts.values())} messages, {size:.0f} MB, lost: {lost}")
-    for turn in found[True]:
-        status = turn["status"]
+        topics = {topic: c for topic, c in count_topics(run.files).items() if topic.startswith("/bench/")}
+        lost_by = {topic: c.lost for topic, c in topics.items()}
+        print(f"{run.id}: {sum(c.messages for c in topics.values())} messages, {size:.0f} MB, lost: {lost_by}")
+    for recording in found[True]:
+        status = recording["status"]
         lost = f"lost to disk {status.get('lost_to_disk')}, gaps {status.get('gaps')}"
         print(f"recorder: dropped {status.get('dropped')}, {lost}")
 

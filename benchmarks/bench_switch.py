@@ -103,7 +103,8 @@ def series(switching: Switching, witness: object, mode: SwitchMode, count: int, 
         assert view.choice is not None
         other = "second" if view.choice.names["backend"] == "first" else "first"
         try:
-            took_s.append(switching.switch("inference", StartInference(backend=other), mode).took_s)
+            arguments = StartInference(backend=other, options={})
+            took_s.append(switching.switch("inference", arguments, mode).took_s)
         except RoboNeuronError as error:  # nothing changed, and that is what is counted
             console.log(f"{mode} {number + 1}/{count} refused: {error.message}")
             continue

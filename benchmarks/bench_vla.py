@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 from unittest.mock import patch
 
 import numpy as np
@@ -347,7 +348,7 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     size = options.size or ("full" if options.device == "cuda" else "small")
     device = torch.device(options.device)
-    named = options.dtype or ("bfloat16" if options.device == "cuda" else "float32")
+    named: Literal["float32", "bfloat16"] = options.dtype or ("bfloat16" if options.device == "cuda" else "float32")
     dtype = getattr(torch, named)
     config = TorchRuntimeConfig(
         device=options.device,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
-from roboneuron.plugins.markers import hookimpl
+from roboneuron import hookimpl
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, CameraSpec, DriverSpec, RobotSpec
 
 if TYPE_CHECKING:

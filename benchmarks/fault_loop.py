@@ -205,5 +205,5 @@ def moving_cell(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[Clo
         loop.start("robot")
         loop.start("perception")
         loop.start("control")
-        loop.start("inference", StartInference(instruction="move on"))
+        loop.start("inference", StartInference(instruction="move on", options={}))
         yield loop, witness

@@ -56,8 +56,8 @@ class LyingCamera(NumberingCamera):
     def __init__(self, config: LargeCameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
         self._more = config or LargeCameraOptions()
         camera = cameras[0]
-        size = {"width": self._more.width or camera.width, "height": self._more.height or camera.height}
-        super().__init__(self._more, topics, (replace(camera, **size),))
+        width, height = self._more.width or camera.width, self._more.height or camera.height
+        super().__init__(self._more, topics, (replace(camera, width=width, height=height),))
 
     def read(self, timeout_s: float) -> Frame:
         """The next image, stamped by the camera's own clock."""

@@ -31,7 +31,7 @@ SHARES = {"half": 0.5, "quarter": 0.25}
 
 
 class PresetRuntime:
-    """Follows the protocols `Runtime` and `AccelerationChanger`; its model is 64 MB of memory."""
+    """Follows the protocol `Runtime`, and offers `set_acceleration`; its model is 64 MB of memory."""
 
     def __init__(self, config: None) -> None:
         self.share = 1.0

@@ -125,7 +125,7 @@ def table_of(fault: str, results: list[dict[str, Any]]) -> Table:
     for outcome, number in outcomes.most_common():
         folders = dict.fromkeys(r["folder"] for r in results if r["outcome"] == outcome and "folder" in r)
         table.add_row(outcome, str(number), f"{number / len(results):.1%}", "\n".join(list(folders)[:5]))
-    for key in ("took_s", "gap_periods", "elsewhere_missed"):
+    for key in ("took_s", "gap_periods", "elsewhere_longest", "elsewhere_missed"):
         values = sorted(float(result[key]) for result in results if result.get(key) is not None)
         if values:
             spread = [values[int(share * (len(values) - 1))] for share in (0.5, 0.99, 1.0)]
@@ -157,8 +157,9 @@ def main() -> None:
             run_worker(arguments.fault, share, folder, results)
             progress.log(f"{len(results.all)}: {dict(Counter(r['outcome'] for r in results.all))}")
 
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the load ends with it
     with loaded(arguments.load):
-        workers = [threading.Thread(target=work) for _ in range(arguments.workers)]
+        workers = [threading.Thread(target=work, daemon=True) for _ in range(arguments.workers)]
         for worker in workers:
             worker.start()
         for worker in workers:

@@ -229,7 +229,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
 
     def look() -> None:
         while not over.wait(0.1):
-            for slot in supervisor.beside("control"):
+            for slot in supervisor.slots["control"][1:]:
                 seen.append(f"{time.time_ns()} new {supervisor.report_of(slot)}")
             seen.append(f"{time.time_ns()} old {supervisor.view('control').report}")
 
@@ -240,7 +240,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     other = "faulty" if choice.names["controller"] == "gantry" else "gantry"
     try:
         witness.more_actions(20, 20.0)
-        switched = switching.switch("control", StartControl(controller=other), "warm", stages.append)
+        switched = switching.switch("control", StartControl(controller=other, options={}), "warm", stages.append)
     except (RoboNeuronError, TimeoutError) as error:
         return {"outcome": _words(str(error)), "error": str(error), "stages": stages, "seen": list(seen)}
     finally:
@@ -254,13 +254,16 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     if gap is None:
         return {"outcome": "no gap is known", "seen": list(seen)}
     times = [at for at, _, _ in witness.commands()]
-    missed = sum(b - a > 1.5e9 / SWITCH_RATE_HZ for a, b in pairwise(times))
+    between_s = [(b - a) / 1e9 for a, b in pairwise(times)]
+    missed = sum(one > 1.5 / SWITCH_RATE_HZ for one in between_s)
+    between_s.remove(min(between_s, key=lambda one: abs(one - gap.gap_s)))  # the switch itself
     actions = [action.at_ns for action in witness.actions()]
     without = sum(b - a > 1.5e9 / SWITCH_RATE_HZ for a, b in pairwise(actions))
     words = {0: "switched", 1: "switched, one missed"}.get(gap.missed, "switched, several missed")
     return {
         "outcome": words,
         "gap_periods": gap.gap_s / gap.period_s,
+        "elsewhere_longest": max(between_s) / gap.period_s,
         "elsewhere_missed": (missed - (gap.missed > 0)) / max(1, len(times)),
         "actions_missed": without / max(1, len(actions)),
     }

@@ -174,7 +174,7 @@ def moving_loop(
             loop.start("robot")
             loop.start("perception")
             loop.start("control")
-            loop.start("inference", StartInference(instruction="move on"))
+            loop.start("inference", StartInference(instruction="move on", options={}))
             with repaired(supervisor):
                 yield switching, witness
         finally:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import roboneuron
-from rn_testing.rules.package import importable, is_public
+from rn_testing.rules.package import SENDER, importable, is_public
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
@@ -37,6 +37,8 @@ ALLOWED: dict[str, set[str]] = {
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
 ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
+SENDING = ("roboneuron.ros.link", "rn_direct_path.writer", "rn_direct_path.traffic")
+"""What could send a message past the gate."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
 
@@ -112,7 +114,8 @@ def test_plugins_import_only_what_is_public_of_the_core():
     breaches = []
     for sources in sorted(PLUGINS.glob("*/src")):  # a library offers nothing
         offers = "".join(path.read_text(encoding="utf-8") for path in sources.glob("*/plugin.py"))
-        packages = importable(feature="FeatureSpec" in offers, command="CommandSpec" in offers)
+        feature, command = "FeatureSpec" in offers, "CommandSpec" in offers
+        packages = importable(feature=feature, command=command, sender=sources.parent.name == SENDER)
         breaches += [
             f"{path.relative_to(PLUGINS)}:{line} imports {name}"
             for path in sorted(sources.rglob("*.py"))
@@ -123,9 +126,9 @@ def test_plugins_import_only_what_is_public_of_the_core():
 
 
 def _reaches_ros(path: Path) -> Iterator[str]:
-    """What only the core does in the server's process: publishing, and making nodes and clients."""
+    """What only the core and the direct path do in the server's process: publishing, making nodes and clients."""
     for name, line in _imports(path):
-        if name.split(".")[0] == "rclpy" or name.startswith(("roboneuron.ros.link", "roboneuron.ros.writer")):
+        if name.split(".")[0] == "rclpy" or name.startswith(SENDING):
             yield f"{path.name}:{line} imports {name}"
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute) and node.attr in {"create_publisher", "create_client", "advertise", "link"}:
@@ -137,7 +140,7 @@ def test_features_send_only_through_the_gate():
     breaches = []
     for plugin in sorted(PLUGINS.glob("*/src/*/plugin.py")):
         text = plugin.read_text(encoding="utf-8")
-        if "FeatureSpec" in text:
+        if "FeatureSpec" in text and plugin.parents[2].name != SENDER:
             # A robot's package has drivers too, which run in a module and are lent topics: there only what runs here.
             names = sorted(set(re.findall(r'target="[\w.]+\.(\w+):\w+Feature"', text)))
             paths = [plugin.parent / f"{n}.py" for n in names] if "RobotSpec" in text else plugin.parent.rglob("*.py")
@@ -145,12 +148,20 @@ def test_features_send_only_through_the_gate():
     assert breaches == []
 
 
+def test_one_distribution_sends_for_agents_and_one_of_its_modules_publishes():
+    sources = PLUGINS / SENDER / "src" / SENDER.replace("-", "_")
+    publishing = {path.name for path in sources.rglob("*.py") if "create_publisher" in path.read_text(encoding="utf-8")}
+    assert publishing == {"writer.py"}
+    assert [breach for path in sources.rglob("*.py") for breach in _reaches_ros(path)]
+
+
 def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
     bad = tmp_path / "bad.py"
     bad.write_text(
         "import rclpy\nfrom roboneuron.ros.link import RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
+        "from rn_direct_path.writer import TopicWriter\nfrom rn_direct_path import traffic\n"
     )
-    assert len(list(_reaches_ros(bad))) == 4
+    assert len(list(_reaches_ros(bad))) == 6
 
 
 def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_case():

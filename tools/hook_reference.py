@@ -18,9 +18,10 @@ from roboneuron.cli.commands import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
 from roboneuron.plugins.specs import KINDS, CameraSpec, DriverSpec, Requirement, Spec
-from roboneuron.server.events import Event, Events
+from roboneuron.server.events import Events
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
+from roboneuron.supervisor.changes import Event
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "hooks.md"
 PROTOCOLS: dict[str, tuple[type, ...]] = {

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from rn_controller_urdf.controller import UrdfController
+from rn_direct_path.joints import check_joints
 from rn_robot_fr3.limits import ARM_JOINTS, joint_limits, velocity_bounds
 from rn_robot_fr3.profile import profile
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, JointSample, PostureInspector
 from roboneuron.errors import RefusedError
-from roboneuron.gate.joints import check_joints
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 from roboneuron.gate.motion.joint_space import braking_velocity
 from roboneuron.gate.motion.joint_space import joint_limits as gate_limits

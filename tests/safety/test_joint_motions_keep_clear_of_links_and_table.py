@@ -11,6 +11,10 @@ import numpy as np
 import pybullet
 import pytest
 
+from rn_direct_path.allow_list import ArmPaths
+from rn_direct_path.exposed import profile_endpoints
+from rn_direct_path.gate import Gate
+from rn_direct_path.request import GateRequest
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.simulation import Simulation
@@ -18,12 +22,10 @@ from rn_robot_fr3.world import JOINTS
 from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError
-from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
+from roboneuron.gate import AuditLog, EmergencyStopLatch
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_joint_trajectory
-from roboneuron.server.motion.allow_list import ArmPaths
-from roboneuron.server.motion.exposed import profile_endpoints
 
 COMMANDED = JOINTS[:8]
 HOME = np.array([*HOME_RAD, FINGER_OPEN_M])

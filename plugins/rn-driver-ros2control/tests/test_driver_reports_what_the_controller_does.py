@@ -24,7 +24,6 @@ from roboneuron import (
     StateError,
     UnsafeError,
 )
-from roboneuron.contract import RecoverableDriver
 
 BLOCKED = {"path_tolerance": 0.02, "goal_tolerance": 0.02, "goal_time_tolerance_s": 0.2}
 
@@ -64,7 +63,6 @@ def test_a_blocked_arm_is_a_fault_that_stays(rig, mode):
 
 def test_a_fault_is_not_forgotten_while_the_controller_is_not_active(rig):
     driver = rig.driver(mode="action", **BLOCKED)
-    assert isinstance(driver, RecoverableDriver)
     driver.send(command())
     rig.link.controller.active = False
     rig.link.end_from_outside(End.ABORTED, "deactivated")

@@ -7,7 +7,7 @@ import pytest
 
 from rn_execution.adaptive import AdaptiveExecutor
 from rn_execution.latency import LatencyWindow
-from rn_execution.mode import Abilities, ModeSelector, choose
+from rn_execution.mode import Abilities, Mode, ModeSelector, choose
 from rn_execution.queue import SentRowQueue, cross_fade
 from roboneuron.contract import ActionChunk, Frame, Observation, Pose
 from roboneuron.errors import InvalidInputError, NotReadyError
@@ -44,74 +44,78 @@ def observation(captured_ns: int) -> Observation:
 
 def test_an_answer_replaces_the_queue_from_the_row_that_is_next() -> None:
     queue = SentRowQueue(fade_rows=0)
-    queue.replace(chunk(8), 0, queue.epoch)
+    queue.replace(chunk(8), 0)
     now_ns = send(queue, 2)
     captured_ns = now_ns - 1
     send(queue, 3, now_ns)
-    assert queue.replace(chunk(8, 1.0), captured_ns, queue.epoch) == "accepted"
-    assert queue.next is not None
-    assert queue.next.vector[0] == pytest.approx(1.003)
-    assert [queue.pop(0).index for _ in range(len(queue))] == [3, 4, 5, 6, 7]
+    assert queue.replace(chunk(8, 1.0), captured_ns) == "accepted"
+    assert queue.rows[0].vector[0] == pytest.approx(1.003)
+    assert [queue.pop(0).index for _ in range(len(queue.rows))] == [3, 4, 5, 6, 7]
 
 
 def test_rows_are_counted_not_timed() -> None:
     """An answer after five periods in which nothing was sent starts with its first row."""
     queue = SentRowQueue()
-    assert queue.replace(chunk(8), 0, queue.epoch) == "accepted"
+    assert queue.replace(chunk(8), 0) == "accepted"
     send(queue, 8)
     captured_ns = 100 * STEP_NS
-    assert queue.replace(chunk(8), captured_ns, queue.epoch) == "accepted"
-    assert queue.next is not None
-    assert queue.next.index == 0
+    assert queue.replace(chunk(8), captured_ns) == "accepted"
+    assert queue.rows[0].index == 0
 
 
 def test_an_answer_without_a_row_in_time_is_late() -> None:
     queue = SentRowQueue()
-    queue.append(chunk(8), queue.epoch)
+    queue.append(chunk(8))
     send(queue, 4)
-    assert queue.replace(chunk(4), 0, queue.epoch) == "late"
-    assert len(queue) == 4
+    assert queue.replace(chunk(4), 0) == "late"
+    assert len(queue.rows) == 4
 
 
 def test_rows_of_a_predecessor_count() -> None:
     queue = SentRowQueue()
     queue.note_sent(np.zeros(7), 10)
     queue.note_sent(np.zeros(7), 20)
-    queue.replace(chunk(8), 15, queue.epoch)
-    assert queue.next is not None
-    assert queue.next.index == 1
+    queue.replace(chunk(8), 15)
+    assert queue.rows[0].index == 1
 
 
-def test_an_epoch_ends_rows_and_answers() -> None:
+@pytest.mark.parametrize("mode", ["sequential", "overlap"])
+def test_an_epoch_ends_rows_and_answers(mode: Mode) -> None:
+    made = AdaptiveExecutor(Abilities(), fixed=mode, bounds=Bounds(first_s=9.0))
+    late = made.begin(observation(0), 0)
+    assert made.answer(late, chunk(8), now_ns=0) == "accepted"
+    assert made.play(0.0, 0) is not None
+    made.begin_epoch()
+    assert made.due_s() is None
+    assert made.answer(late, chunk(8), now_ns=1) == "withdrawn"
+    assert made.answer(made.begin(observation(0), 0), chunk(1), now_ns=1) == "accepted"  # none counts as played
+
+
+def test_an_epoch_forgets_what_was_sent() -> None:
     queue = SentRowQueue()
-    epoch = queue.epoch
-    queue.append(chunk(8), epoch)
+    queue.append(chunk(8))
     send(queue, 2)
     queue.begin_epoch()
-    assert len(queue) == 0
+    assert len(queue.rows) == 0
     assert queue.sent_since(0) == 0
-    assert queue.replace(chunk(8), 0, epoch) == "withdrawn"
-    assert queue.append(chunk(8), epoch) == "withdrawn"
 
 
 def test_a_trained_prefix_that_was_overrun_is_left_out_once_then_faded() -> None:
     queue = SentRowQueue()
-    queue.append(chunk(16), queue.epoch)
+    queue.append(chunk(16))
     send(queue, 5)
     late = chunk(16, 1.0, conditioned_rows=3)
-    assert queue.replace(late, 0, queue.epoch, max_committed_rows=3) == "unconditioned"
-    assert queue.replace(late, 0, queue.epoch, max_committed_rows=3) == "accepted"
-    assert queue.next is not None
-    assert queue.next.vector[0] < 1.0  # faded
+    assert queue.replace(late, 0, max_committed_rows=3) == "unconditioned"
+    assert queue.replace(late, 0, max_committed_rows=3) == "accepted"
+    assert queue.rows[0].vector[0] < 1.0  # faded
 
 
 def test_a_conditioned_answer_is_not_faded() -> None:
     queue = SentRowQueue()
-    queue.append(chunk(16), queue.epoch)
+    queue.append(chunk(16))
     send(queue, 2)
-    queue.replace(chunk(16, 1.0, conditioned_rows=4), 0, queue.epoch)
-    assert queue.next is not None
-    assert queue.next.vector[0] == pytest.approx(1.002)
+    queue.replace(chunk(16, 1.0, conditioned_rows=4), 0)
+    assert queue.rows[0].vector[0] == pytest.approx(1.002)
 
 
 def test_deltas_are_faded_and_the_gripper_is_not() -> None:
@@ -125,8 +129,8 @@ def test_deltas_are_faded_and_the_gripper_is_not() -> None:
 @pytest.mark.parametrize(("horizon", "faded"), [(4, 0), (5, 1), (6, 2), (8, 4), (16, 4)])
 def test_a_fade_leaves_most_of_a_short_chunk_as_it_was_predicted(horizon: int, faded: int) -> None:
     queue = SentRowQueue()
-    queue.replace(chunk(horizon), 0, queue.epoch)
-    queue.replace(chunk(horizon, 1.0), 0, queue.epoch)
+    queue.replace(chunk(horizon), 0)
+    queue.replace(chunk(horizon, 1.0), 0)
     played = [queue.pop(0).vector[0] for _ in range(horizon)]
     assert sum(abs(x - 1.0 - i * 1e-3) > 1e-9 for i, x in enumerate(played)) == faded
 
@@ -145,7 +149,7 @@ def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(horizon: int
 
 def test_ahead_holds_what_was_sent_since_the_capture_and_what_is_planned() -> None:
     queue = SentRowQueue(fade_rows=0)
-    queue.append(chunk(8, 0.5), queue.epoch)
+    queue.append(chunk(8, 0.5))
     now_ns = send(queue, 3)
     ahead = queue.ahead(now_ns - STEP_NS, 4, STEP_S)
     assert ahead is not None

@@ -10,6 +10,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_fleet.fleet import Fleet
 from rn_fleet.plugin import FEATURE
 from rn_ops.plugin import CLIENTS
@@ -34,7 +35,7 @@ Call = Callable[..., types.CallToolResult]
 def make_fleet(tmp_path: Path) -> Iterator[Callable[[str], Fleet]]:
     """Return a function that makes a fleet from a configuration; nothing may be spawned."""
     fleets: list[Fleet] = []
-    registry = fake_registry(FEATURE, CLIENTS, HTTP, ROS_TOOLS)
+    registry = fake_registry(FEATURE, CLIENTS, DIRECT_PATH, HTTP, ROS_TOOLS)
 
     def make(text: str = TWO) -> Fleet:
         fleets.append(

@@ -13,9 +13,10 @@ from typing import Any, cast
 import pytest
 from mcp import types
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.feature import direct_path
 from rn_fleet.fleet import Fleet
 from roboneuron.gate.estop import FILE_NAME
-from roboneuron.server.motion.exposed import Exposed
 
 Call = Callable[..., types.CallToolResult]
 STOPS = [("stop", "left"), ("stop", "right-arm")]
@@ -57,7 +58,7 @@ def moving(fleet: Fleet, order: list[tuple[str, str]]) -> Any:
     with ExitStack() as stack:
         for name, robot in fleet.robots.items():
             exposed = cast(Exposed, SimpleNamespace(robot=name, topic="cmd_vel", namespace=name, moves=True))
-            motion = stack.enter_context(robot.arbiter.claim(exposed, "a test", Halt(name)))
+            motion = stack.enter_context(direct_path(robot.host).arbiter.claim(exposed, "a test", Halt(name)))
             motion.stop_now = lambda name=name: order.append(("stop", name))  # type: ignore[misc]
         yield
 

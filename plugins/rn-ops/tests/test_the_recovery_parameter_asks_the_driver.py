@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from rn_ops.recovery_parameter import RECOVER_PARAMETER, join
-from roboneuron.contract import RecoverableDriver
+from rn_ops.recovery_parameter import RECOVER_PARAMETER, RecoverableDriver, join
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.modules.status import ModuleStatus
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_recorder.playing import PlayRecording, action_message, pace, pieces, playing_tool
 from rn_runs.against_robot import play
 from rn_runs.files import Record, RunFile
@@ -69,7 +70,7 @@ def test_recorded_actions_move_the_simulation(
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
     """A server of the fakes; nothing is started and no ROS is touched."""
-    registry = fake_registry()
+    registry = fake_registry(DIRECT_PATH)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),

@@ -16,7 +16,7 @@ from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationOnly
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import CheckpointError, InvalidInputError, RefusedError
-from roboneuron.gate import ADMIN, OPERATOR
+from roboneuron.gate.roles import ADMIN, OPERATOR
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.selection import Selection
 

@@ -12,12 +12,13 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_serve_http.feature import HttpFeature, is_moving
+from rn_serve_http.feature import HttpFeature
 from rn_serve_http.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
+from roboneuron.server.host import Host
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
@@ -64,8 +65,8 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(
     application = make("[http]\nlease_s = 0.05\n")
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
-    monkeypatch.setattr(application.arbiter, "end_all", lambda reason, timeout_s: ended.append(reason))
-    monkeypatch.setattr("rn_serve_http.feature.is_moving", lambda host: is_moving)
+    monkeypatch.setattr(application, "end_direct_motion", lambda reason, timeout_s: ended.append(reason) is None)
+    monkeypatch.setattr(Host, "is_moving", is_moving)
     application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)
     lease = application.host.feature("http", HttpFeature).lease
@@ -104,9 +105,9 @@ def test_leases_are_on_over_http_unless_they_are_configured_away(
 
 def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     host = make("").host
-    assert not is_moving(host)
+    assert not host.is_moving
     monkeypatch.setattr(host.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running"))
-    assert is_moving(host)
+    assert host.is_moving
 
 
 def test_modules_do_not_get_the_variables_of_tokens(make: Make) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rn_switching.handover import TimedHandover
-from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_UNTIL
+from rn_switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL
 from roboneuron.contract import ActionChunk
 from roboneuron.modules.status import ModuleStatus
 
@@ -117,3 +117,17 @@ def test_what_was_captured_before_a_moment_is_not_left_out_for_ever(
     clocks.mono_s += 10.0
     handover.rest()
     assert handover.not_before_ns == 0
+
+
+@pytest.mark.parametrize(("period_s", "silent_s"), [(0.0, 0.1), (0.2, 0.3)])
+def test_a_successor_plays_early_when_its_predecessor_has_nothing_left(
+    clocks: Clocks, handover: TimedHandover, period_s: float, silent_s: float
+) -> None:
+    handover.period_s = lambda: period_s
+    clocks.set_moment(handover, PLAY_FROM, clocks.wall_ns + 10**9)
+    assert handover.may_send(clocks.wall_ns), "it was never heard"
+    handover.hear_action()
+    clocks.mono_s += silent_s - 0.01
+    assert not handover.may_send(clocks.wall_ns)
+    clocks.mono_s += 0.02
+    assert handover.may_send(clocks.wall_ns)

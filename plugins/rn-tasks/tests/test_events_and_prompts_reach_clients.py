@@ -14,6 +14,7 @@ import pytest
 from mcp import Client, types
 from mcp.shared.exceptions import MCPError
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_ops.plugin import CLIENTS
 from rn_selection.plugin import FEATURE as SELECTION
 from rn_tasks.events import Crossing
@@ -49,7 +50,8 @@ approval_roles = ["operator", "admin"]
 def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
     registry = replace(
-        fake_registry(SELECTION, FEATURE, CLIENTS, *MONITORS), kinds={**KINDS, MonitorSpec.kind: MonitorSpec}
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS),
+        kinds={**KINDS, MonitorSpec.kind: MonitorSpec},
     )
     made = Application(
         parse_config(CONFIG, registry=registry),

@@ -1,4 +1,4 @@
-"""The arm tools need only the core, and are there as long as the robot's endpoints are exposed."""
+"""The arm tools need only the direct path, and are there as long as the robot's endpoints are exposed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from rn_direct_path.feature import gate_of
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing.fakes import fake_registry
 from rn_tools_arm.plugin import FEATURE
 from rn_tools_ros.plugin import FEATURE as ROS_FEATURE
@@ -27,7 +29,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
     made: list[Application] = []
 
     def build(*features: FeatureSpec, text: str = "") -> Application:
-        registry = fake_registry(*features)
+        registry = fake_registry(DIRECT_PATH, *features)
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
@@ -45,7 +47,7 @@ def names(application: Application) -> set[str]:
     return {tool.name for tool in application.tools.listing()}
 
 
-def test_core_alone_is_enough(make: Make) -> None:
+def test_the_direct_path_alone_is_enough(make: Make) -> None:
     bare, with_arm = make(), make(FEATURE)
     assert names(with_arm) - names(bare) == {"move_ee"}  # this robot exposes no trajectories
 
@@ -55,8 +57,8 @@ def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:
     assert "move_ee" not in names(make(FEATURE, ROS_FEATURE, text="[direct]\nprofile = false\n"))
 
 
-def test_no_feature_exposes_what_core_keeps_for_itself(make: Make) -> None:
-    gate = make().host.gate
+def test_no_feature_exposes_what_is_kept_for_control(make: Make) -> None:
+    gate = gate_of(make().host)
     action = next(e for e in gate.exposed if e.hidden)
     with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
         gate.expose("another", [replace(action, endpoint=replace(action.endpoint, name="mine"))])

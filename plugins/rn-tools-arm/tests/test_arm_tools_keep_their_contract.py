@@ -2,6 +2,7 @@
 
 import pytest
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 from rn_tools_arm.plugin import FEATURE
 
@@ -9,7 +10,7 @@ from rn_tools_arm.plugin import FEATURE
 class TestArmTools(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE)
+        return FeatureCase(spec=FEATURE, needs=(DIRECT_PATH,))
 
 
 class TestPackage(PackageContract):

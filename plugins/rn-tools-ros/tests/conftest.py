@@ -14,6 +14,7 @@ import anyio
 import pytest
 from mcp import Client, types
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_ops.plugin import CLIENTS
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
@@ -269,7 +270,7 @@ def make_application(tmp_path: Path) -> Iterator[Callable[..., Application]]:
     made: list[Application] = []
 
     def make(text: str = EXPOSED, registry: Registry | None = None) -> Application:
-        found = registry or fake_registry(FEATURE, CLIENTS)
+        found = registry or fake_registry(DIRECT_PATH, FEATURE, CLIENTS)
         application = Application(
             parse_config(text),
             plugins=PluginCatalogue(discover=lambda disabled: found),
@@ -314,5 +315,5 @@ def run_with(make_application: Callable[..., Application]) -> Callable[..., None
 @pytest.fixture
 def run_arm(make_application: Callable[..., Application]) -> Callable[..., None]:
     """Like `run_with`, on a server that has the arm tools too."""
-    registry = fake_registry(FEATURE, ARM_FEATURE, CLIENTS)
+    registry = fake_registry(DIRECT_PATH, FEATURE, ARM_FEATURE, CLIENTS)
     return lambda text, scenario: run_agent(make_application(text, registry), scenario)

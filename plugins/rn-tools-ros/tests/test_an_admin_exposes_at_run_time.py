@@ -14,6 +14,8 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_direct_path.feature import direct_path, gate_of
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_ops.plugin import CLIENTS
 from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposing import Admin
@@ -57,7 +59,7 @@ def names(application: Application) -> set[str]:
 
 
 def records(application: Application) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in application.gate.audit.path.read_text().splitlines()]
+    return [json.loads(line) for line in direct_path(application.host).judge.audit.path.read_text().splitlines()]
 
 
 def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_otherwise(
@@ -67,7 +69,7 @@ def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_other
     bare = '[robot]\nname = "rover"\n'
     assert "expose_endpoint" not in names(make_application(bare))
     assert {"expose_endpoint", "unexpose_endpoint"} <= names(make_application(LOCAL))
-    with_token = make_application(bare, fake_registry(TOKENS, FEATURE, CLIENTS))
+    with_token = make_application(bare, fake_registry(TOKENS, DIRECT_PATH, FEATURE, CLIENTS))
     assert "expose_endpoint" in names(with_token)
     assert "expose_endpoint" not in {tool.name for tool in with_token.tools.listing("operator")}
 
@@ -128,7 +130,7 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
     application = make_application(LOCAL)
 
     def bounds() -> Any:
-        return next(e.endpoint.bounds["linear.x"] for e in application.gate.allowed())
+        return next(e.endpoint.bounds["linear.x"] for e in direct_path(application.host).judge.allowed())
 
     entry = ExposeConfig.model_validate({"name": "velocity", "bounds": {"linear.x": [-0.1, 0.1]}})
     change = ros_tools(application).expose(entry, ADMIN)
@@ -137,7 +139,7 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
     ros_tools(application).refresh()
     assert bounds() == (-0.1, 0.1)
     ros_tools(application).unexpose(None, "velocity", None, ADMIN)
-    assert not application.gate.allowed()
+    assert not direct_path(application.host).judge.allowed()
     with pytest.raises(InvalidInputError, match="exposed are: none"):
         ros_tools(application).unexpose(None, "velocity", None, ADMIN)
     again = ExposeConfig.model_validate({"name": "velocity", "kind": "publish"})
@@ -147,11 +149,11 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
 
 def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> None:
     application = make_application(LOCAL)
-    exposed = application.host.gate.exposed[0]
+    exposed = gate_of(application.host).exposed[0]
     entered = threading.Event()
 
     def move() -> None:
-        with application.arbiter.claim(exposed, "a test", threading.Event()) as motion:
+        with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
             entered.set()
             with pytest.raises(StateError, match="'velocity' was withdrawn"):
                 motion.sleep_until(time.monotonic() + 60)
@@ -167,7 +169,7 @@ def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> Non
 def test_nothing_changes_without_an_audit(make_application: Make, tmp_path: Any) -> None:
     application = make_application(LOCAL)
     (tmp_path / "state").mkdir(exist_ok=True)
-    application.gate.audit.path.mkdir()  # a directory cannot be appended to
+    direct_path(application.host).judge.audit.path.mkdir()  # a directory cannot be appended to
     with pytest.raises(RefusedError, match="cannot be written"):
         ros_tools(application).expose(ExposeConfig.model_validate(HORN), ADMIN)
     assert "publish_horn" not in names(application)

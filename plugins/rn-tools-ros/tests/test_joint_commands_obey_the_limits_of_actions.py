@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from rn_direct_path.joints import joint_commands
 from rn_testing.fakes import gantry_profile
 from rn_tools_ros.exposed_types import is_joint_limited, sent_types
 from roboneuron.contract import RobotProfile
-from roboneuron.gate.joints import joint_commands
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 JOINTS = ["slide_x", "slide_y", "slide_z", "yaw", "pitch", "roll", "finger"]

@@ -8,6 +8,11 @@ from typing import Any
 
 import pytest
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.feature import direct_path
+from rn_direct_path.gate import Gate
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
+from rn_direct_path.request import GateRequest
 from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposing import Admin
 from rn_tools_ros.exposure import Exposure, exposure
@@ -16,10 +21,9 @@ from rn_tools_ros.plugin import FEATURE
 from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate import AuditLog, EmergencyStopLatch, Gate, GateRequest
+from roboneuron.gate import AuditLog, EmergencyStopLatch
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.app import Application
-from roboneuron.server.motion.exposed import Exposed
 
 ROVER = """
 [robot]
@@ -40,7 +44,7 @@ ALIAS = {"name": "fast", "kind": "publish", "topic": "/rover/cmd_vel", "type": "
 
 
 def exposed(text: str, *added: ExposeConfig) -> Exposure:
-    registry = fake_registry(FEATURE)
+    registry = fake_registry(DIRECT_PATH, FEATURE)
     config = parse_config(text)
     options = feature_options(FEATURE, config)
     assert isinstance(options, RosToolsOptions)
@@ -148,7 +152,7 @@ def test_a_withdrawn_topic_does_not_come_back_through_a_pattern(make_application
     path.unexpose(None, "velocity", None, ADMIN)
     found = made('[robot]\nname = "rover"\n' + ROVER.split("expose_without_token = true")[1])["velocity"]
     path._on_discovered((replace(found, label="cmd_vel"),))
-    assert not application.gate.allowed()
+    assert not direct_path(application.host).judge.allowed()
 
 
 def test_parameters_are_exposed_by_name() -> None:

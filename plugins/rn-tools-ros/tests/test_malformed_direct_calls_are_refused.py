@@ -64,7 +64,7 @@ def broken(value: Any) -> Any:
 @pytest.fixture
 def silent(application: Application, monkeypatch: pytest.MonkeyPatch) -> Application:
     """An application without a bus: whatever wants to send is a failure of the test."""
-    from roboneuron.server.motion.traffic import Traffic
+    from rn_direct_path.traffic import Traffic
     from roboneuron.supervisor.launching import Connection
 
     def refuse(self: Any, *arguments: Any) -> Any:

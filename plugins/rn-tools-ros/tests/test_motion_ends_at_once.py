@@ -11,6 +11,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_direct_path.feature import direct_path, gate_of
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.server.app import Application
 
@@ -123,7 +124,7 @@ def test_a_client_that_leaves_and_a_server_that_closes_leave_nothing_moving(
 
     ask(scenario)
     left_s = time.monotonic()
-    application.end_direct_motion()
+    assert application.end_direct_motion("The server is shutting down.", 2.0)
     assert rover.on("cmd_vel")[-1].linear.x == 0.0 or time.monotonic() - left_s < STOPPED_S
 
 
@@ -146,7 +147,7 @@ def test_one_call_at_a_time_moves_a_robot(ask: Ask, rover: Any) -> None:
 
 def test_a_policy_that_starts_takes_the_robot_over(application: Application, ask: Ask, rover: Any) -> None:
     policy: list[str] = [""]
-    application.arbiter._policy = lambda exposed: policy[0]
+    direct_path(application.host).arbiter._policy = lambda exposed: policy[0]
 
     async def scenario(agent: Any) -> None:
         async def drive() -> None:
@@ -173,7 +174,7 @@ def test_an_audit_that_cannot_be_written_ends_motion(application: Application, a
         async with anyio.create_task_group() as group:
             group.start_soon(drive)
             await moving(rover)
-            application.gate.audit.failed = True
+            direct_path(application.host).judge.audit.failed = True
             await standing(rover, time.monotonic())
 
     ask(scenario)
@@ -211,11 +212,11 @@ def test_too_long_a_sequence_is_refused_before_anything_is_sent(ask: Ask, rover:
 
 
 def test_the_arbiter_waits_for_motions_to_end(application: Application) -> None:
-    exposed = application.host.gate.exposed[0]
+    exposed = gate_of(application.host).exposed[0]
     halt, entered = threading.Event(), threading.Event()
 
     def move() -> None:
-        with application.arbiter.claim(exposed, "a test", halt) as motion:
+        with direct_path(application.host).arbiter.claim(exposed, "a test", halt) as motion:
             entered.set()
             with pytest.raises(StateError, match="It is over"):
                 motion.sleep_until(time.monotonic() + 30)
@@ -224,19 +225,19 @@ def test_the_arbiter_waits_for_motions_to_end(application: Application) -> None:
     thread.start()
     assert entered.wait(5)
     with pytest.raises(RefusedError, match="a test moves 'rover' now"):
-        application.arbiter.check_free(exposed)
-    assert application.arbiter.end_all("It is over.", 2.0)
+        direct_path(application.host).arbiter.check_free(exposed)
+    assert direct_path(application.host).arbiter.end_all("It is over.", 2.0)
     thread.join(5)
-    application.arbiter.check_free(exposed)
+    direct_path(application.host).arbiter.check_free(exposed)
 
 
 def test_pressing_the_stop_wakes_what_moves(application: Application, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("roboneuron.server.motion.arbiter.POLL_S", 60.0)
-    exposed = application.host.gate.exposed[0]
+    monkeypatch.setattr("rn_direct_path.arbiter.POLL_S", 60.0)
+    exposed = gate_of(application.host).exposed[0]
     entered = threading.Event()
 
     def move() -> None:
-        with application.arbiter.claim(exposed, "a test", threading.Event()) as motion:
+        with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
             entered.set()
             with pytest.raises(RefusedError, match="latched by somebody: a test"):
                 motion.sleep_until(time.monotonic() + 60)
@@ -275,10 +276,10 @@ def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
 
 
 def test_the_stop_message_does_not_wait_for_the_thread_that_plays(application: Application) -> None:
-    exposed = application.host.gate.exposed[0]
+    exposed = gate_of(application.host).exposed[0]
     latch = application.loop.emergency_stop.file
     sent: list[tuple[bool, bool]] = []
-    with application.arbiter.claim(exposed, "a test", threading.Event()) as motion:
+    with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
         motion.stop_now = lambda: sent.append((latch.is_latched(), latch.path.exists()))
         latch.press(who="somebody", reason="a test")
     assert sent == [(True, False)]

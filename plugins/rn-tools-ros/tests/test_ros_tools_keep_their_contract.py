@@ -2,6 +2,7 @@
 
 import pytest
 
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing import CommandCase, CommandContract, FeatureCase, FeatureContract, PackageCase, PackageContract
 from rn_tools_ros.plugin import COMMAND, FEATURE
 
@@ -9,7 +10,7 @@ from rn_tools_ros.plugin import COMMAND, FEATURE
 class TestRosTools(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE)
+        return FeatureCase(spec=FEATURE, needs=(DIRECT_PATH,))
 
 
 class TestDescribe(CommandContract):

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rn_direct_path.feature import direct_path
+from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing.fakes import fake_registry
 from rn_tools_ros.exposure import Exposure, exposure
 from rn_tools_ros.interfaces import list_interfaces, load_message
@@ -26,7 +28,7 @@ TWIST = 'kind = "publish"\ntopic = "cmd_vel"\ntype = "geometry_msgs/msg/Twist"\n
 
 
 def exposed(text: str, *added: ExposeConfig) -> Exposure:
-    registry = fake_registry(FEATURE)
+    registry = fake_registry(DIRECT_PATH, FEATURE)
     config = parse_config(text)
     options = feature_options(FEATURE, config)
     assert isinstance(options, RosToolsOptions)
@@ -78,7 +80,10 @@ def test_a_label_may_be_used_for_two_kinds(make_application: Make) -> None:
     )
     application = make_application(text)
     assert {"publish_velocity", "read_velocity"} <= set(tools(application))
-    assert {e.endpoint.name for e in application.gate.allowed()} == {"velocity_publish", "velocity_read"}
+    assert {e.endpoint.name for e in direct_path(application.host).judge.allowed()} == {
+        "velocity_publish",
+        "velocity_read",
+    }
 
 
 @given(st.text(max_size=120), st.sampled_from(sorted(PATTERNS)))

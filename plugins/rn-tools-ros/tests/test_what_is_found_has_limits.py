@@ -9,6 +9,8 @@ import anyio
 import pytest
 from mcp import Client
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.feature import gate_of
 from rn_testing.fakes import gantry_profile
 from rn_tools_ros.discovered_limits import check_patterns, limit
 from rn_tools_ros.discovery import LiveGraph
@@ -17,7 +19,6 @@ from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
-from roboneuron.server.motion.exposed import Exposed
 
 TWIST = "geometry_msgs/msg/Twist"
 RANGES = f'[discover.limits."{TWIST}"]\n"linear.x" = [-0.5, 0.5]\n"angular.z" = [-1, 1]\n"*" = [0, 0]\n'
@@ -152,4 +153,4 @@ def test_a_found_velocity_is_held_to_its_limits(make_application: Callable[..., 
                     await anyio.sleep(0.01)
 
     anyio.run(scenario)
-    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in application.host.gate.exposed)
+    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in gate_of(application.host).exposed)

@@ -104,7 +104,7 @@ class FakeSource:
 
     def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> Callable[[], None]:
         self.subscribed[topic] = callback
-        return lambda: self.subscribed.pop(topic) and None
+        return lambda: self.subscribed.__delitem__(topic)
 
     def press_stop(self, who: str) -> str:
         self.stops.append(who)

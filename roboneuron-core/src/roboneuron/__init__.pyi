@@ -7,7 +7,7 @@ from .config.models import (
 )
 from .contract import (
     ACTION_FIELDS as ACTION_FIELDS, ACTION_LABEL as ACTION_LABEL, ACTION_SIZE as ACTION_SIZE,
-    Acceleration as Acceleration, AccelerationChanger as AccelerationChanger, Action as Action,
+    Acceleration as Acceleration, Action as Action,
     ActionChunk as ActionChunk, Ahead as Ahead, AnyAcceleration as AnyAcceleration,
     AnyRuntime as AnyRuntime, Backend as Backend,
     CameraCalibration as CameraCalibration, CameraProfile as CameraProfile,
@@ -16,9 +16,9 @@ from .contract import (
     JointSample as JointSample, Observation as Observation, Obstacle as Obstacle,
     PerceptionSource as PerceptionSource, Pose as Pose, Posture as Posture,
     PostureInspector as PostureInspector, Proximity as Proximity, RobotDriver as RobotDriver,
-    RobotProfile as RobotProfile, RobotState as RobotState, Runtime as Runtime, TWIST_FIELDS as TWIST_FIELDS,
+    RobotProfile as RobotProfile, RobotState as RobotState, Runtime as Runtime,
     Topics as Topics, Workspace as Workspace, apply_delta as apply_delta,
-    check_action_vector as check_action_vector, check_rgb8 as check_rgb8, check_twist as check_twist,
+    check_action_vector as check_action_vector, check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
 )
 from .contract.rotation import (

@@ -1,4 +1,4 @@
-"""The audit: whole lines, rotation, several writers, and what happens when it cannot be written."""
+"""The audit: whole lines, rotation, several writers."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.errors import RefusedError
 from roboneuron.gate import AuditLog, AuditRecord
 
-FORWARD = {"linear": {"x": 0.2}}
 WRITE = """
 import sys, time
 from pathlib import Path
@@ -30,13 +28,6 @@ def record(**changes) -> AuditRecord:
 
 def read(*paths: Path) -> list[dict]:
     return [json.loads(line, parse_constant=pytest.fail) for p in paths for line in p.read_text().splitlines()]
-
-
-@pytest.fixture
-def full_disk(tmp_path: Path, clock) -> AuditLog:
-    """An audit on a device that is always full."""
-    (tmp_path / "full").symlink_to("/dev/full")
-    return AuditLog(tmp_path / "full", clock.wall_ns)
 
 
 def test_a_line_holds_time_and_all_that_is_known(audit, clock) -> None:
@@ -116,28 +107,3 @@ def test_a_deleted_file_is_begun_again(audit) -> None:
     audit.path.unlink()
     audit.write(record(tool="second"))
     assert read(audit.path)[0]["tool"] == "second"
-
-
-def test_motion_is_refused_while_it_cannot_be_written(make_gate, ask, endpoints, full_disk) -> None:
-    gate = make_gate(audit=full_disk)
-    gate.check_running()
-    with pytest.raises(RefusedError, match=r"audit .* cannot be written"):
-        gate.check(ask(endpoints["velocity"], FORWARD))
-    with pytest.raises(RefusedError, match="motion ends"):
-        gate.check_running()
-    assert gate.check(ask(endpoints["scan"])).may_send
-    with pytest.raises(RefusedError, match=r"linear\.x"):
-        gate.check(ask(endpoints["velocity"], {"linear": {"x": 5}}))
-    gate.latch.latch(who="a", reason="still works", audit=full_disk)
-    assert gate.latch.is_latched()
-
-
-def test_motion_goes_on_when_it_can_be_written_again(make_gate, ask, endpoints, tmp_path: Path, clock) -> None:
-    blocked = tmp_path / "blocked"
-    blocked.touch()
-    gate = make_gate(audit=AuditLog(blocked / "audit", clock.wall_ns))
-    with pytest.raises(RefusedError):
-        gate.check(ask(endpoints["velocity"], FORWARD))
-    blocked.unlink()
-    assert gate.check(ask(endpoints["velocity"], FORWARD)).may_send
-    gate.check_running()

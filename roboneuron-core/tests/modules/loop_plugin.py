@@ -115,7 +115,6 @@ class Windows(Handover):
         super().__init__(status)
         self.moments = {"act_from_ns": 2**62 if shadow else 0, "act_until_ns": 0, "play_until_ns": 0}
         self.withheld: list[Any] = []
-        self.heard: list[Any] = []
         self.sent: list[str] = []
 
     def set(self, name: str, moment_ns: int) -> None:
@@ -132,9 +131,6 @@ class Windows(Handover):
 
     def withhold(self, output: Any) -> None:
         self.withheld.append(output)
-
-    def hear(self, output: Any, sent_s: float) -> None:
-        self.heard.append(output)
 
     def note_sent(self, what: str) -> None:
         self.sent.append(what)

@@ -170,7 +170,7 @@ def test_pose_survives_the_wire() -> None:
 
 def test_command_becomes_one_trajectory_point_and_comes_back() -> None:
     command = JointCommand(names=("a", "b"), position=np.array([0.1, 0.2]), duration_s=0.1)
-    (back,) = messages.commands_from_trajectory(over_the_wire(messages.to_joint_trajectory(command)))
+    (back,) = messages.commands_from_message(over_the_wire(messages.to_joint_trajectory(command)))
     np.testing.assert_array_equal(back.position, command.position)
     assert back.duration_s == pytest.approx(0.1, abs=1e-9)  # nanoseconds on the wire
 
@@ -186,7 +186,7 @@ def trajectory(*points: tuple[float, list[float]], names: tuple[str, ...] = ("a"
 
 
 def test_later_points_take_the_time_since_the_point_before() -> None:
-    commands = messages.commands_from_trajectory(trajectory((1.0, [0.1]), (2.5, [0.2])))
+    commands = messages.commands_from_message(trajectory((1.0, [0.1]), (2.5, [0.2])))
     assert [c.duration_s for c in commands] == [1.0, 1.5]
 
 
@@ -203,4 +203,4 @@ def test_later_points_take_the_time_since_the_point_before() -> None:
 )
 def test_trajectory_that_cannot_be_executed_is_refused(message: JointTrajectory, says: str) -> None:
     with pytest.raises(InvalidInputError, match=says):
-        messages.commands_from_trajectory(message)
+        messages.commands_from_message(message)

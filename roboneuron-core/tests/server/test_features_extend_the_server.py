@@ -102,6 +102,30 @@ class BadClose(Odometer):
         raise RuntimeError("cannot let go")
 
 
+class Sender(Feature[None]):
+    """Lends a gate, moves something, and has to work."""
+
+    gate = "the gate"
+    is_moving = True
+
+    def complete(self, host: Host) -> None:
+        TRACE.append(f"complete {host.gate}")
+        if host.config.server.name == "refusing":
+            raise ConfigurationError("Two endpoints are called 'drive'.")
+
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        TRACE.append(f"end: {reason}")
+        return 0.0 <= timeout_s <= 2.0
+
+    def close(self) -> None:
+        TRACE.append("close")
+
+
+class Unstoppable(Feature[None]):
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        raise RuntimeError("no brake")
+
+
 def spec(cls: type[Any], name: str = "odometer", **more: Any) -> FeatureSpec:
     return FeatureSpec(name=name, summary="A feature.", target=f"{__name__}:{cls.__name__}", **more)
 
@@ -231,3 +255,38 @@ def test_a_feature_admits_calls(make):
     answer = anyio.run(ask)
     assert answer.is_error
     assert "It is Monday, agent on stdio." in answer.content[0].text
+
+
+def test_the_gate_is_what_a_feature_lends(make):
+    host = make(spec(Odometer), spec(Sender, "sender")).host
+    assert host.gate == "the gate"
+    assert host.is_moving
+    assert TRACE == ["complete the gate"]
+
+
+def test_without_such_a_feature_there_is_no_gate_and_the_error_says_what_to_install(make):
+    host = make(spec(Odometer)).host
+    with pytest.raises(StateError, match=r"No feature sends messages.*pip install ./plugins/rn-direct-path"):
+        host.gate  # noqa: B018
+    assert not host.is_moving
+    host.end_motion("Nobody is there.", 1.0)
+
+
+def test_two_gates_are_refused_by_the_names_of_their_features(make):
+    with pytest.raises(ConfigurationError, match=r"'one' and 'two' lend a gate each.*disabled_plugins"):
+        make(spec(Sender, "two"), spec(Sender, "one"))
+
+
+def test_what_keeps_a_feature_from_being_complete_keeps_the_server_from_starting(make):
+    with pytest.raises(ConfigurationError, match=r"^Two endpoints are called 'drive'"):
+        make(spec(Sender, "sender"), server={"name": "refusing"})
+
+
+def test_motions_of_features_end_before_modules_stop_and_features_close(make, monkeypatch):
+    application = make(spec(Unstoppable, "first"), spec(Sender, "second"))
+    monkeypatch.setattr(application.supervisor, "stop_all", lambda within_s: TRACE.append("stop modules"))
+    TRACE.clear()
+    assert not application.end_direct_motion("The lease has lapsed.", 1.0), "one did not end its motions"
+    application.close()
+    ended = ["end: The lease has lapsed.", "end: The server is shutting down."]
+    assert TRACE[:4] == [*ended, "stop modules", "close"]

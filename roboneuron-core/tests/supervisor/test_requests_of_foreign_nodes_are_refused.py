@@ -13,7 +13,7 @@ from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
 from roboneuron.ros.link import RosLink
-from roboneuron.supervisor.lifecycle import ParameterClient
+from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ProcessEvents, spawn
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -42,7 +42,7 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
     """The thread that reads stdin may not get the processor in time; what a plugin starts may read its stdin too."""
     view = supervisor.start("inference", make_config(inference=fault))
     assert view.process is not None
-    own = ParameterClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
+    own = NodeClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
     for round_ in range(10):
         assert own.set({"instruction": f"own {round_}"}, 10.0) == ""
     report = supervisor.view("inference").report
@@ -145,8 +145,8 @@ def test_the_server_s_own_requests_are_followed_beside_foreign_ones(
 ) -> None:
     view = supervisor.start("inference", make_config())
     assert view.process is not None
-    own = ParameterClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
-    other = ParameterClient(foreign, supervisor.changes, "/fake/inference", lambda digest: None)
+    own = NodeClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
+    other = NodeClient(foreign, supervisor.changes, "/fake/inference", lambda digest: None)
     for round_ in range(10):
         assert "only the server" in other.set({"instruction": f"foreign {round_}"}, 5.0)
         assert own.set({"instruction": f"own {round_}"}, 5.0) == ""

@@ -15,7 +15,7 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
-from roboneuron.supervisor import launching
+from roboneuron.supervisor import bringup
 from roboneuron.supervisor.process import ModuleProcess, end_processes
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -67,7 +67,7 @@ def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_
         raise NotReadyError("It survives SIGKILL.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(launching, "end_processes", end)
+        patch.setattr(bringup, "end_processes", end)
         with pytest.raises(NotReadyError, match="survives"):
             supervisor.start("robot", make_config(robot="refuses-configure"))
     assert supervisor.view("robot").phase == "stopped"

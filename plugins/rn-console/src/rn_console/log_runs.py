@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _NAME = re.compile(r"(\d{8}-\d{6})-(\d+)")
-"""Local time and process id, see `roboneuron.supervisor.launching.Launcher`."""
+"""Local time and process id, see `roboneuron.supervisor.supervisor.Supervisor`."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

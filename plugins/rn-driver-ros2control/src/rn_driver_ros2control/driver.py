@@ -36,7 +36,7 @@ _SETTLE_S = 0.05
 
 
 class Ros2ControlDriver:
-    """Follows the protocols `RobotDriver` and `RecoverableDriver`; every method may be called from any thread.
+    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called from any thread.
 
     The controller keeps the arm: it interpolates, holds its last point when commands cease or this process dies, and
     checks its own tolerances. What it reports as a fault is kept here until the robot is stopped and started again.

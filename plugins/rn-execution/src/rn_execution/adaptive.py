@@ -13,8 +13,8 @@ from rn_execution.mode import Abilities, Choice, Mode, ModeSelector
 from rn_execution.queue import SentRowQueue, fade_rows_of
 from rn_execution.roll_forward import roll_forward
 from roboneuron.contract import ActionChunk, Ahead, Observation
-from roboneuron.modules.execution import Bounds, ChunkExecutor, Prediction
-from roboneuron.modules.row_queue import Outcome, Row
+from roboneuron.contract.arrays import F64
+from roboneuron.modules.execution import Bounds, ChunkExecutor, Prediction, Row
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,8 +65,8 @@ class AdaptiveExecutor(ChunkExecutor):
     """
 
     def __init__(self, abilities: Abilities, *, fixed: Mode | None, bounds: Bounds) -> None:
-        self._rows = SentRowQueue()
-        super().__init__(bounds, self._rows)
+        super().__init__(bounds)
+        self._queue = SentRowQueue(self._rows)
         self._selector = ModeSelector(fixed, abilities)
         self._latency = LatencyWindow()
         self._meter = DeliveryMeter()
@@ -90,7 +90,7 @@ class AdaptiveExecutor(ChunkExecutor):
             mode = self._selector.current.mode
             step_s = self._step_s
             if step_s is not None and mode == "rtc":
-                ahead = self._rows.ahead(captured_ns, self._delay_rows(step_s), step_s)
+                ahead = self._queue.ahead(captured_ns, self._delay_rows(step_s), step_s)
                 observation = replace(observation, ahead=ahead)
             elif step_s is not None and mode == "predicted-state":
                 observation = self._rolled(observation, step_s)
@@ -112,17 +112,24 @@ class AdaptiveExecutor(ChunkExecutor):
                 self._meter.add(row, now_s)
             return row
 
+    def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
+        """As ChunkExecutor."""
+        with self.changed:
+            self._heard_s = now_s
+            self._queue.note_sent(vector, now_ns)
+
     def begin_epoch(self) -> None:
         """As ChunkExecutor."""
         with self.changed:
+            self._queue.begin_epoch()
             self._latency.skip_next()  # after a reset the first answer takes longer
-            self._meter.pause()
             super().begin_epoch()
 
     def drop(self) -> None:
         """As ChunkExecutor."""
         with self.changed:
             self._meter.pause()
+            self._queue.drop()
             super().drop()
 
     def values(self) -> dict[str, str | float | int]:
@@ -142,16 +149,18 @@ class AdaptiveExecutor(ChunkExecutor):
                 delivery=self._meter.delivery(),
             )
 
-    def _put(self, prediction: Prediction, chunk: ActionChunk) -> Outcome:
+    def _put(self, prediction: Prediction, chunk: ActionChunk) -> str:
         if prediction.mode in ("sequential", "predicted-state"):
-            return super()._put(prediction, chunk)
-        return self._rows.replace(
+            return self._queue.append(chunk, oldest_ns=prediction.observation.stamp_ns)
+        return self._queue.replace(
             chunk,
             prediction.captured_ns,
-            prediction.epoch,
             oldest_ns=prediction.observation.stamp_ns,
             max_committed_rows=self._selector.abilities.max_committed_rows,
         )
+
+    def _take(self, sent_ns: int) -> None:
+        self._queue.pop(sent_ns)
 
     def _delay_rows(self, step_s: float) -> int:
         """Rows played during one inference at the worst."""
@@ -161,7 +170,7 @@ class AdaptiveExecutor(ChunkExecutor):
         pose = observation.ee_pose
         if pose is None:
             return observation
-        rows, done_share = self._rows.rows_to_roll(pose.stamp_ns, step_s)
+        rows, done_share = self._queue.rows_to_roll(pose.stamp_ns, step_s)
         if not len(rows):
             return observation
         rolled, gripper_open = roll_forward(pose, observation.gripper_open, rows, done_share)

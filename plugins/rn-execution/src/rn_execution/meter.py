@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roboneuron.modules.row_queue import Row
+from roboneuron.modules.execution import Row
 
 _WINDOW = 512
 """Rows that rate and jumps are taken over; counters go on for ever."""

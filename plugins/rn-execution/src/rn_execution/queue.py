@@ -6,17 +6,21 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import ActionChunk, Ahead
-from roboneuron.modules.row_queue import Outcome, Row, RowQueue, rows_of
+from roboneuron.modules.execution import Row, rows_of
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
 """Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother (simulated, see
 docs/execution.md)."""
+Outcome = Literal["accepted", "late", "unconditioned"]
+"""What became of an answer. `late`: more rows were sent since its image than it has. `unconditioned`: it continues rows
+that were not played as promised (trained prefixes)."""
 _MEMORY = 512
 """Sent rows that are remembered; an answer that is older is dropped by its image's age long before."""
 
@@ -24,37 +28,61 @@ _MEMORY = 512
 @dataclass(slots=True)
 class _Sent:
     sent_ns: int
-    epoch: int
     vector: F64
 
 
 @dataclass
-class SentRowQueue(RowQueue):
-    """A queue that remembers what was sent, so that a newer answer can take over in the middle of a chunk.
+class SentRowQueue:
+    """The rows to be sent, oldest first, and what was sent, so that a newer answer can take over in mid-chunk.
 
-    Rows of an earlier epoch do not count as played.
+    Not thread-safe: its owner holds a lock.
 
     Attributes:
+        rows: of the executor.
         fade_rows: length of the cross-fade.
     """
 
+    rows: deque[Row] = field(default_factory=deque)
     fade_rows: int = FADE_ROWS
+    _context: Any = None
     _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _was_unconditioned: bool = False
 
+    def begin_epoch(self) -> None:
+        """Forget every row; those that were sent no longer count as played."""
+        self._sent.clear()
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the rows that are to be sent."""
+        self.rows.clear()
+        self._context = None
+
     def pop(self, sent_ns: int) -> Row:
-        """As RowQueue."""
-        row = super().pop(sent_ns)
-        self._sent.append(_Sent(sent_ns, self.epoch, row.vector))
+        """Take the next row out, as sent at that time [ns, clock of the stamps]."""
+        row = self.rows.popleft()
+        self._sent.append(_Sent(sent_ns, row.vector))
         return row
 
     def note_sent(self, vector: F64, sent_ns: int) -> None:
-        """As RowQueue."""
-        self._sent.append(_Sent(sent_ns, self.epoch, vector))
-        super().note_sent(vector, sent_ns)
+        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of our next one."""
+        self._sent.append(_Sent(sent_ns, vector))
+        if self.rows:
+            self.rows.popleft()
+
+    def append(self, chunk: ActionChunk, *, oldest_ns: int = 0) -> Outcome:
+        """Let an answer follow whole after the rows that are there.
+
+        Args:
+            chunk: the answer.
+            oldest_ns: capture time of the oldest image that it answers [ns].
+        """
+        self.rows.extend(rows_of(chunk.actions, chunk, oldest_ns, first=0))
+        self._context = chunk.context
+        return "accepted"
 
     def sent_since(self, captured_ns: int) -> int:
-        """Rows of this epoch that were sent after that time."""
+        """Rows that were sent after that time."""
         return len(self._sent_after(captured_ns))
 
     def ahead(self, captured_ns: int, committed_rows: int, step_s: float) -> Ahead | None:
@@ -66,12 +94,12 @@ class SentRowQueue(RowQueue):
             step_s: period of the rows [s].
         """
         sent = self._sent_after(captured_ns)
-        rows = [*sent, *(row.vector for row in self._rows)]
+        rows = [*sent, *(row.vector for row in self.rows)]
         if not rows:
             return None
         # A chunk's row k is aligned with the k-th row sent since its capture, so the running chunk's context is aligned
         # with what was sent before its border too.
-        start = self._rows[0].index - len(sent) if self._rows else -1
+        start = self.rows[0].index - len(sent) if self.rows else -1
         has_context = self._context is not None and start >= 0
         return Ahead(
             rows=np.array(rows),
@@ -92,27 +120,24 @@ class SentRowQueue(RowQueue):
             float64 (N, 7), oldest first, and the share of the first that was carried out at the measurement, 0 .. 1.
         """
         period_ns = step_s * 1e9
-        under_way = [sent for sent in self._sent if sent.epoch == self.epoch and sent.sent_ns > measured_ns - period_ns]
+        under_way = [sent for sent in self._sent if sent.sent_ns > measured_ns - period_ns]
         share = 0.0
         if under_way and under_way[0].sent_ns < measured_ns:
             share = (measured_ns - under_way[0].sent_ns) / period_ns
-        rows = [*(sent.vector for sent in under_way), *(row.vector for row in self._rows)]
+        rows = [*(sent.vector for sent in under_way), *(row.vector for row in self.rows)]
         return np.array(rows).reshape(-1, 7), share
 
     def replace(
-        self, chunk: ActionChunk, captured_ns: int, epoch: int, *, oldest_ns: int = 0, max_committed_rows: int = 0
+        self, chunk: ActionChunk, captured_ns: int, *, oldest_ns: int = 0, max_committed_rows: int = 0
     ) -> Outcome:
         """Let an answer take over from the row that is next.
 
         Args:
             chunk: its row 0 is meant for the moment of the capture.
             captured_ns: of the leading image that it answers [ns].
-            epoch: in which that image was taken.
             oldest_ns: of the oldest image [ns].
             max_committed_rows: greatest prefix that the backend was trained for; 0 for no bound.
         """
-        if epoch != self.epoch:
-            return "withdrawn"
         played = self.sent_since(captured_ns)
         if played >= len(chunk.actions):
             return "late"
@@ -124,13 +149,14 @@ class SentRowQueue(RowQueue):
         vectors = chunk.actions[played:]
         if not chunk.conditioned_rows or is_overrun:
             fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
-            vectors = cross_fade([row.vector for row in self._rows], vectors, fade_rows)
-        self._rows = deque(rows_of(vectors, chunk, oldest_ns, first=played))
+            vectors = cross_fade([row.vector for row in self.rows], vectors, fade_rows)
+        self.rows.clear()
+        self.rows.extend(rows_of(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
 
     def _sent_after(self, captured_ns: int) -> list[F64]:
-        return [sent.vector for sent in self._sent if sent.epoch == self.epoch and sent.sent_ns >= captured_ns]
+        return [sent.vector for sent in self._sent if sent.sent_ns >= captured_ns]
 
 
 def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:

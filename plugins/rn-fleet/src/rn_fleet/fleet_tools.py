@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from roboneuron.errors import InvalidInputError
-from roboneuron.gate.request import VIEWER
+from roboneuron.gate.roles import VIEWER
 from roboneuron.server.lifecycle_tools import EmergencyStopArguments
 from roboneuron.server.results import EmergencyStopResult
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool

@@ -9,7 +9,7 @@ from mcp import types
 
 from rn_fleet.schemas import merged_tool
 from roboneuron.errors import InvalidInputError, RoboNeuronError, nearest
-from roboneuron.gate.request import ADMIN
+from roboneuron.gate.roles import ADMIN
 from roboneuron.server.registry import ToolRegistry, failure
 from roboneuron.server.tool import CallContext, Stage, Tool
 

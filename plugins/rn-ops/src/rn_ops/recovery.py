@@ -12,7 +12,7 @@ from rn_ops.recovery_parameter import RECOVER_PARAMETER
 from roboneuron import CallContext, Host, NoArguments, Result, RobotSpec, Tool
 from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.gate.audit import AuditRecord
-from roboneuron.gate.request import OPERATOR
+from roboneuron.gate.roles import OPERATOR
 from roboneuron.server.feature import Feature
 
 _SET_S = 5.0

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from roboneuron.contract import RecoverableDriver
 from roboneuron.errors import PluginError, RoboNeuronError
 
 if TYPE_CHECKING:
@@ -17,6 +16,20 @@ if TYPE_CHECKING:
 RECOVER_PARAMETER = "recover"
 """ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class RecoverableDriver(Protocol):
+    """What a driver may offer, without importing this: to clear a fault that has stopped the robot."""
+
+    def recover(self) -> str:
+        """Clear the fault because a person said so; nothing moves. Returns what was cleared.
+
+        Raises:
+            StateError: there is no fault.
+            RefusedError: its cause still stands; the message says what to do.
+        """
+        ...
 
 
 def join(host: ModuleHost) -> None:

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rn_direct_path.delivery import Command
+from rn_direct_path.exposed import ACTION_LABEL as ENDPOINT
+from rn_direct_path.exposed import Exposed, gate_request
+from rn_direct_path.feature import gate_of
+from rn_direct_path.request import GateRequest
 from rn_runs.episodes import Streams, read_streams
 from roboneuron import Arguments, CallContext, Host, InvalidInputError, NotReadyError, RefusedError, Result, Tool
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE
-from roboneuron.gate import GateRequest
-from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import ACTION_LABEL as ENDPOINT
-from roboneuron.server.motion.exposed import Exposed, gate_request
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -79,7 +80,7 @@ def _play(host: Host, arguments: PlayRecording, context: CallContext, halt: thre
     config = host.config
     if config.robot.driver != "simulated":
         raise RefusedError(f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation only.")
-    exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
+    exposed = next((e for e in gate_of(host).exposed if e.hidden and e.label == ENDPOINT), None)
     if exposed is None:
         raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
     streams = read_streams([Path(name) for name in arguments.files])
@@ -119,12 +120,12 @@ def _motions(
     messages = [action_message(vector) for _, vector in streams.actions]
     due_s = pace([sent_ns for sent_ns, _ in streams.actions], exposed.endpoint.rate_hz)
     requests = []
-    for piece in pieces(due_s, host.gate.max_duration_s):
+    for piece in pieces(due_s, gate_of(host).max_duration_s):
         at_s = [due_s[i] - due_s[piece.start] for i in piece]
         request = gate_request(
             context, "play_recording", exposed, [messages[i] for i in piece], arguments.given(), send_at_s=at_s
         )
-        verdict = host.gate.check(replace(request, dry_run=True))
+        verdict = gate_of(host).check(replace(request, dry_run=True))
         if not verdict.allowed:
             raise RefusedError(f"A recorded action is refused, nothing was sent: {verdict.reason}")
         requests.append(request)
@@ -137,7 +138,7 @@ def _send(host: Host, exposed: Exposed, requests: Sequence[GateRequest], halt: t
     for request in requests:
         at_s = request.send_at_s
         commands = _commands(request.messages, at_s)
-        done = host.gate.play(exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt)
+        done = gate_of(host).play(exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt)
         if not done.verdict.may_send:
             raise RefusedError(done.verdict.reason or "The server makes dry runs only.")
         sent += done.messages

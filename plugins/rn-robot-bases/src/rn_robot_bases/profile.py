@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from rn_direct_path.twists import TWIST_FIELDS
+from rn_direct_path.twists import check_twist as check_endpoint_twist
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, RACECAR, Platform
-from roboneuron import TWIST_FIELDS, Endpoint, RobotProfile
-from roboneuron.contract import check_twist as check_endpoint_twist
+from roboneuron import Endpoint, RobotProfile
 
 CMD_VEL = "cmd_vel"
 """Topic of velocity commands, geometry_msgs/Twist in the base frame."""

@@ -14,24 +14,12 @@ from rn_serve_http.operator_lease import OperatorLease
 from rn_serve_http.options import HttpOptions
 from rn_serve_http.origins import HostRules
 from rn_serve_http.tokens import TokenFiles, read_tokens
-from roboneuron import Feature, Host, RefusedError, Tool
+from roboneuron import Feature, Host, Tool
 from roboneuron.config import Config
 from roboneuron.server.feature import Transport
 
 _LAPSE_S = 2.0
 """Longest wait for the end of motion when a lease lapsed."""
-
-
-def is_moving(host: Host) -> bool:
-    """Whether a policy runs, or a call moves something."""
-    if host.supervisor.view("inference").phase != "stopped":
-        return True
-    for exposed in host.gate.exposed:
-        try:
-            host.gate.check_free(exposed)
-        except RefusedError:
-            return True
-    return False
 
 
 class HttpFeature(Feature[HttpOptions]):
@@ -57,7 +45,7 @@ class HttpFeature(Feature[HttpOptions]):
         host.supervisor.secret_variables.update(variables)
 
         def end_motion(reason: str) -> None:
-            was_moving = is_moving(host)
+            was_moving = host.is_moving
             host.end_motion(reason, _LAPSE_S)
             if was_moving:  # somebody who looked at a robot at rest, and went, is no incident
                 host.events.fault.tell("inference", "lease", {"explanation": reason})

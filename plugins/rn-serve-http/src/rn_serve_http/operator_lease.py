@@ -14,7 +14,7 @@ from pydantic import Field
 
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.request import OPERATOR
+from roboneuron.gate.roles import OPERATOR
 from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Any
+from typing import Protocol, cast, runtime_checkable
 
 from rn_switching.standby import ACCELERATION_PARAMETER
-from roboneuron.contract import AccelerationChanger
+from roboneuron.contract import AnyAcceleration
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.inference import InferenceModule
 from roboneuron.modules.module_host import ModuleHost
+from roboneuron.modules.plugin import build
+from roboneuron.plugins.specs import AccelerationSpec
 
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class AccelerationChanger(Protocol):
+    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
+
+    A backend that executes its model itself may offer it likewise. It need not import this.
+    """
+
+    def set_acceleration(self, acceleration: AnyAcceleration | None) -> None:
+        """Execute every later `run` with this preset, or with none.
+
+        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds, holds
+        no more memory afterwards, and answers are then those of a model that was loaded with the preset.
+
+        Raises:
+            RoboNeuronError: why it cannot be; the preset that was in force stays so.
+            StateError: before `load` or after `close`.
+        """
+        ...
 
 
 class AccelerationInForce:
@@ -28,9 +50,9 @@ class AccelerationInForce:
         module: its backend or its runtime, the first that can, changes the preset.
         """
         self._status = host.status
-        self._make = module.build_acceleration
+        self._module = module
         parts: tuple[object, ...] = (module.backend, module.runtime)
-        self._changer: AccelerationChanger[Any] | None = next(
+        self._changer: AccelerationChanger | None = next(
             (part for part in parts if isinstance(part, AccelerationChanger)), None
         )
         config = module.config.inference
@@ -49,7 +71,7 @@ class AccelerationInForce:
         refused = ""
         try:
             if name != self._name:
-                self._changer.set_acceleration(self._make(name) if name else None)
+                self._changer.set_acceleration(self._made(name) if name else None)
         except RoboNeuronError as error:
             refused = str(error)
         except Exception as error:  # the module border: plugins may raise anything
@@ -63,6 +85,10 @@ class AccelerationInForce:
         self._status.set_value("acceleration_changed_ns", time.time_ns())
         self._status.set_value("acceleration_answers", count)
         self._status.changed.set()
+
+    def _made(self, name: str) -> AnyAcceleration:
+        spec = self._module.registry.get(AccelerationSpec, name)
+        return cast("AnyAcceleration", build(spec, self._module.config.options(name)))
 
     def _refusal(self, _: str) -> str:
         return "" if self._changer is not None else "the acceleration cannot be changed while the model is loaded"

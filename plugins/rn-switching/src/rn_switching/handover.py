@@ -24,6 +24,8 @@ from roboneuron.modules.status import ModuleStatus
 
 _SETTLE_S = 5.0
 """A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
+_PREDECESSOR_S, _PREDECESSOR_PERIODS = 0.1, 1.5
+"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has nothing left."""
 _FARTHEST_S = 10.0
 """A moment farther ahead than this was made before the clock was set."""
 
@@ -39,6 +41,7 @@ class TimedHandover(Handover):
 
     Attributes:
         moments: the node's parameters and their first values.
+        period_s: tells the period of a backend's rows [s]; 0 before the first one.
     """
 
     def __init__(
@@ -54,6 +57,8 @@ class TimedHandover(Handover):
         self._now_s = now_s
         self._moments_ns = dict(self.moments)
         self._past_s = dict.fromkeys(self.moments, math.inf)
+        self.period_s: Callable[[], float] = lambda: 0.0
+        self._heard_s = -math.inf
         self._sent: set[str] = set()
         self._count = 0
         self._begun_s = self._took_s = 0.0
@@ -77,7 +82,9 @@ class TimedHandover(Handover):
     def may_send(self, now_ns: int) -> bool:
         """See `Handover.may_send`."""
         from_ns = self._moments_ns[PLAY_FROM]
-        return now_ns >= from_ns or self._now_s() >= self._past_s[PLAY_FROM]
+        now_s = self._now_s()
+        silent_s = max(_PREDECESSOR_S, _PREDECESSOR_PERIODS * self.period_s())
+        return now_ns >= from_ns or now_s >= self._past_s[PLAY_FROM] or now_s - self._heard_s >= silent_s
 
     def must_fall_silent(self, now_ns: int) -> bool:
         """See `Handover.must_fall_silent`."""
@@ -111,8 +118,16 @@ class TimedHandover(Handover):
             self._comparison.answer(output)
 
     def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
-        """See `Handover.hear`."""
+        """What the predecessor has sent, and when [monotonic s]; called in shadow."""
         self._comparison.hear(output, sent_s)
+
+    def hear_action(self) -> None:
+        """The predecessor has sent an action now."""
+        self._heard_s = self._now_s()
+
+    def has_sent(self, what: str) -> bool:
+        """Whether an output of that name has gone out."""
+        return what in self._sent
 
     def note_sent(self, what: str) -> None:
         """Tell when the first and the newest of its kind went out: a handover is confirmed and measured by that."""

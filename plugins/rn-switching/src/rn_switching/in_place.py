@@ -14,7 +14,7 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.selection import Selection
 from roboneuron.supervisor.health import ModuleView, Report
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.lifecycle import ParameterClient
+from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.slot import Slot
 
 _TOLD_S = 5.0
@@ -92,7 +92,7 @@ class AccelerationSwitch:
         supervisor.on_change("inference")
         return Change(gap=self._gap(report), difference=None)
 
-    def _await_answer(self, slot: Slot, parameters: ParameterClient, answers: int, former: str) -> Report:
+    def _await_answer(self, slot: Slot, parameters: NodeClient, answers: int, former: str) -> Report:
         def answer() -> Report | None:
             report = self._supervisor.report_of(slot)
             return report if report is not None and _answers(report) > answers else None

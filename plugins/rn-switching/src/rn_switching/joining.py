@@ -6,6 +6,7 @@ from functools import partial
 
 from rn_switching.acceleration import AccelerationInForce
 from rn_switching.handover import TimedHandover
+from rn_switching.predecessor import follow_predecessor
 from rn_switching.standby import restore
 from roboneuron.modules.inference import InferenceModule
 from roboneuron.modules.module import Module
@@ -24,6 +25,8 @@ def _extend(host: ModuleHost, handover: TimedHandover, module: Module) -> None:
     if isinstance(module, InferenceModule):
         AccelerationInForce(host, module)
         module.before_prediction.append(handover.rest)
+    if host.settings.shadow:
+        follow_predecessor(module, handover)
     restore()  # loaded: from now on as urgent as other modules
 
 

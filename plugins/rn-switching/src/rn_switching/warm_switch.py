@@ -22,7 +22,7 @@ from roboneuron.server.selection import Selection
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Report
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.lifecycle import ParameterClient
+from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -161,7 +161,7 @@ class WarmSwitch:
         """How long after the moment the old one's rows are played, and the last of them is heard by the new one."""
         return int((latency_s + _HEARD_S) * 1e9) if self._check.has_rows() else 0
 
-    def _agree(self, new: ParameterClient, standby: Slot, margin_s: float, bridged_ns: int) -> tuple[int, float]:
+    def _agree(self, new: NodeClient, standby: Slot, margin_s: float, bridged_ns: int) -> tuple[int, float]:
         """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
         for proposal in range(_MOMENTS):
             moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
@@ -176,12 +176,12 @@ class WarmSwitch:
                 margin_s = min(2 * margin_s, _MOST_MARGIN_S)
         return moment_ns, due_s
 
-    def _tell(self, client: ParameterClient, values: Mapping[str, int], within_s: float, standby: Slot) -> None:
+    def _tell(self, client: NodeClient, values: Mapping[str, int], within_s: float, standby: Slot) -> None:
         refused = client.finish(client.send(values), max(0.0, within_s), lambda: self._healthy(standby))
         if refused:
             raise StateError(f"The handover was refused: {refused}.")
 
-    def _probe(self, clients: Sequence[ParameterClient], standby: Slot) -> float:
+    def _probe(self, clients: Sequence[NodeClient], standby: Slot) -> float:
         """Tell both what they know already, and return the margin [s] that this needs."""
         started_s = time.monotonic()
         for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
@@ -207,7 +207,7 @@ class WarmSwitch:
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
-    def _roll_back(self, clients: Sequence[ParameterClient], slot: Slot, cause: BaseException) -> None:
+    def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> None:
         """The old one acts again; the new one is told not to, and ended by the caller in any case."""
         log.warning("The handover is undone: %s", cause)
         old, new = clients
@@ -239,7 +239,7 @@ class WarmSwitch:
             raise StateError(f"The running {self._check.noun} has ended meanwhile; nothing was replaced.")
         return report
 
-    def _client(self, slot: Slot) -> ParameterClient:
+    def _client(self, slot: Slot) -> NodeClient:
         assert slot.choice is not None
         node = f"/{slot.choice.settings.status_name}"
         assert slot.process is not None

@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
+from rn_direct_path.fields import load_type
 from rn_tasks.judging import read_field
 from rn_tasks.options import EventOptions, ThresholdOptions
 from roboneuron.errors import RoboNeuronError
-from roboneuron.gate.fields import load_type
 from roboneuron.server.feature import Resource
 from roboneuron.server.host import Host
 from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView

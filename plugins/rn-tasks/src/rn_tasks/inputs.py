@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from rn_direct_path.fields import load_type
 from roboneuron import Frame, Pose, RobotProfile
 from roboneuron.contract import frame_from_buffer
 from roboneuron.errors import InvalidInputError, RoboNeuronError
-from roboneuron.gate.fields import load_type
 from roboneuron.server.host import Host
 
 log = logging.getLogger(__name__)

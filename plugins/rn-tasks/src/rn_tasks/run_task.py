@@ -8,6 +8,7 @@ from typing import Any, Literal, cast
 
 from pydantic import Field
 
+from rn_direct_path.feature import gate_of
 from rn_tasks.approval import Approval
 from rn_tasks.arbiter import TaskArbiter
 from rn_tasks.hooks import MonitorSpec
@@ -19,7 +20,7 @@ from rn_tasks.predicates import FieldIs, MonitorSays, Predicate, flat, parse_pre
 from rn_tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from rn_tasks.snapshot import Snapshot
 from roboneuron import RobotProfile
-from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.plugin import build
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH
 from roboneuron.server.host import Host
@@ -178,9 +179,13 @@ class TaskTool:
 
 
 def profile_of(host: Host) -> RobotProfile | None:
-    """Facts of the present robot; None for one that no plugin describes."""
+    """Facts of the present robot; None for one that no plugin describes, and without the direct path."""
     name = host.config.robot.name
-    return next((e.profile for e in host.gate.exposed if e.profile is not None and e.robot == name), None)
+    try:
+        exposed = gate_of(host).exposed
+    except StateError:
+        return None
+    return next((e.profile for e in exposed if e.profile is not None and e.robot == name), None)
 
 
 def topics_of(predicate: Predicate) -> Mapping[str, str]:

@@ -13,16 +13,17 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from rn_direct_path.delivery import Command
+from rn_direct_path.exposed import Exposed, gate_request
+from rn_direct_path.feature import gate_of
+from rn_direct_path.request import GateRequest
 from rn_tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
 from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
 from rn_tools_arm.prediction import PredictedArm, control_of
 from roboneuron.contract import ACTION_LABEL, ACTION_SIZE, Action, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.gate import GateRequest
 from roboneuron.server.host import Host
-from roboneuron.server.motion.delivery import Command
-from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
@@ -87,7 +88,7 @@ class EndEffectorMover:
     ) -> None:
         self._exposed = exposed
         self._profile = profile
-        self._gate = host.gate
+        self._gate = gate_of(host)
         self._host = host
         self._options = options
         self._tcp = tcp

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rn_direct_path.feature import gate_of
 from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
 from rn_tools_arm.plugin import FEATURE
@@ -15,7 +16,7 @@ from roboneuron.server.tool import Tool
 
 
 class ArmTools(Feature[ArmToolsOptions]):
-    """move_joints and move_ee. They need no other feature: the gate exposes the endpoints of the robot's profile."""
+    """move_joints and move_ee. They need the gate only, which exposes the endpoints of the robot's profile."""
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None but the derived ones, which come once something is exposed."""
@@ -25,6 +26,6 @@ class ArmTools(Feature[ArmToolsOptions]):
         def derive() -> None:
             host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options, poses))
 
-        host.gate.on_change(derive)
+        gate_of(host).on_change(derive)
         derive()
         return ()

@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="move_joints and move_ee: joint targets and end-effector deltas of an arm, within the limits.",
     target="rn_tools_arm.feature:ArmTools",
     config="rn_tools_arm.options:ArmToolsOptions",
+    needs=("direct-path",),
 )
 """Descriptor of the feature."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from rn_direct_path.allow_list import ArmPaths
+from rn_direct_path.exposed import Exposed
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample, Pose
 from roboneuron.gate.motion import MotionLimiter, inspector_of
 from roboneuron.server.host import Host
-from roboneuron.server.motion.allow_list import ArmPaths
-from roboneuron.server.motion.exposed import Exposed
 
 
 def control_of(host: Host, exposed: Exposed) -> tuple[Controller, MotionLimiter]:

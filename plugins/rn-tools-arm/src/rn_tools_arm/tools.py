@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from typing import Any
 
+from rn_direct_path.exposed import ACTION_LABEL
+from rn_direct_path.feature import gate_of
 from rn_tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
 from rn_tools_arm.joints import joint_tools
 from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
 from roboneuron.server.host import Host
-from roboneuron.server.motion.exposed import ACTION_LABEL
 from roboneuron.server.schema import Derived, Schema
 from roboneuron.server.tool import Tool
 
 
 def arm_tools(host: Host, options: ArmToolsOptions, poses: dict[str, MeasuredPose]) -> list[Tool[Any]]:
     """move_ee and move_joints, for the arm among the exposed endpoints; `poses` keeps what is measured by namespace."""
-    listed = host.gate.exposed
-    tools = joint_tools([e for e in listed if not e.hidden], host.gate)
+    gate = gate_of(host)
+    listed = gate.exposed
+    tools = joint_tools([e for e in listed if not e.hidden], gate)
     action = next((e for e in listed if e.hidden and e.label == ACTION_LABEL), None)
     if action is None or action.profile is None:
         return tools
     tcp = poses.setdefault(action.namespace, MeasuredPose(host, action.namespace))
     properties: dict[str, Schema] = {name: {} for name in MoveEndEffector.model_fields}
-    properties["duration_s"] = {"maximum": host.gate.max_duration_s}
+    properties["duration_s"] = {"maximum": gate.max_duration_s}
     if action.profile.gripper is None:
         del properties["gripper_open"]
     move: Tool[Any] = Tool(

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from rn_direct_path.exposed import gate_request
+from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.exposed_types import action_of
 from rn_tools_ros.goals import GoalEnd, send_goal
@@ -16,8 +18,6 @@ from rn_tools_ros.interfaces import ActionInterface
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
-from roboneuron.server.motion.exposed import gate_request
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Stage
 

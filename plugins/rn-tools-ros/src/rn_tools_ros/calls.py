@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.request import Verdict
 from rn_tools_ros.interfaces import MessageInterface
 from roboneuron.errors import InvalidInputError
-from roboneuron.gate import Verdict
 from roboneuron.server.tool import Arguments, Result
 
 Value = dict[str, Any]

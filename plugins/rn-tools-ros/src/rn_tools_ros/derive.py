@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.feature import gate_of
 from rn_tools_ros.action import GoalSending, SendGoal, goal_model
 from rn_tools_ros.exposed_types import action_of, message_of, service_of
 from rn_tools_ros.naming import tool_name
@@ -15,7 +17,6 @@ from rn_tools_ros.sequence import PublishSequence, Sequencing
 from rn_tools_ros.service import Calling, CallService, served_model
 from rn_tools_ros.targets import Targets
 from roboneuron.server.host import Host
-from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.schema import Derived, Schema
 from roboneuron.server.tool import Tool
 
@@ -51,11 +52,12 @@ def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[
 
 
 def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
     message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
-        properties["duration_s"] = {"maximum": host.gate.max_duration_s}
+        properties["duration_s"] = {"maximum": gate.max_duration_s}
         stops = any(e.endpoint.stop_message for e in targets.endpoints)
         lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
     elif targets.trajectory:
@@ -71,12 +73,13 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
             required=_required(targets, "message", message_of(targets.first).fields),
         ),
         result=Delivery,
-        handler=Publishing(host.gate, targets, name),
+        handler=Publishing(gate, targets, name),
         open_world=True,
     )
 
 
 def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
     needed = [
         *(["message"] if message_of(targets.first).fields else []),
         *([] if targets.trajectory else ["duration_s"]),
@@ -86,7 +89,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
         "properties": {
             "message": {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."},
             "duration_s": {
-                "type": "number", "exclusiveMinimum": 0, "maximum": host.gate.max_duration_s,
+                "type": "number", "exclusiveMinimum": 0, "maximum": gate.max_duration_s,
                 "description": "How long this step lasts, in seconds.",
             },
         },
@@ -102,7 +105,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
         name=name,
         title=f"Publish {noun}, step by step",
         description=(
-            f"{targets.describe()} Plays the steps one after the other, at most {host.gate.max_duration_s:g} s, and "
+            f"{targets.describe()} Plays the steps one after the other, at most {gate.max_duration_s:g} s, and "
             f"returns at the end; cancelling the call or emergency_stop ends it at once. {end}{_SENT}"
         ),
         arguments=Derived(
@@ -111,7 +114,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
             required=[*targets.arguments, "steps"],
         ),
         result=Delivery,
-        handler=Sequencing(host.gate, targets, name),
+        handler=Sequencing(gate, targets, name),
         open_world=True,
     )
 
@@ -145,18 +148,19 @@ def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
             required=_required(targets, "request", interface.request.fields),
         ),
         result=served_model(targets),
-        handler=Calling(host.gate, targets, name),
+        handler=Calling(gate_of(host), targets, name),
         open_world=True,
     )
 
 
 def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
     interface = action_of(targets.first)
-    sending = GoalSending(host.gate, targets, name)
+    sending = GoalSending(gate, targets, name)
     properties = {
         **targets.schema(),
         "goal": message_schema(interface.goal, hull([e.endpoint for e in targets.endpoints])),
-        "timeout_s": {"maximum": host.gate.max_duration_s, "default": sending.timeout_s},
+        "timeout_s": {"maximum": gate.max_duration_s, "default": sending.timeout_s},
         "server_timeout_s": {},
         "dry_run": {},
     }

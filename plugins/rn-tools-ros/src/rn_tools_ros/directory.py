@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.errors import InvalidInputError
-from roboneuron.gate.request import VIEWER
+from roboneuron.gate.roles import VIEWER
 from roboneuron.server.access import check_role, may_call
 from roboneuron.server.schema import Schema
 from roboneuron.server.tool import Arguments, CallContext, Reply, Result, Tool

@@ -6,15 +6,15 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.joints import JOINT_TYPES
+from rn_direct_path.limits import check_endpoint
 from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, number_fields
 from rn_tools_ros.interfaces import load_interface
 from rn_tools_ros.options import DiscoverConfig
 from rn_tools_ros.pattern_limits import OTHERS
 from rn_tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron.errors import ConfigurationError
-from roboneuron.gate import check_endpoint
-from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.server.motion.exposed import Exposed
 
 
 def check_patterns(discover: Iterable[DiscoverConfig]) -> None:

@@ -7,6 +7,8 @@ import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+from rn_direct_path.exposed import Exposed, check_reserved, check_stop
+from rn_direct_path.limits import check_endpoint
 from rn_tools_ros.discovered_limits import limit
 from rn_tools_ros.graph import RosGraph
 from rn_tools_ros.naming import to_label
@@ -14,8 +16,6 @@ from rn_tools_ros.options import DiscoverConfig
 from roboneuron.config import Config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import RoboNeuronError
-from roboneuron.gate import check_endpoint
-from roboneuron.server.motion.exposed import Exposed, check_reserved, check_stop
 from roboneuron.supervisor.changes import Periodic
 
 log = logging.getLogger(__name__)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.fields import FLOATS, INTEGERS, walk_fields
+from rn_direct_path.joints import JOINT_TYPES
+from rn_direct_path.limits import sent_type
 from rn_tools_ros.interfaces import ActionInterface, Interface, MessageInterface, ServiceInterface, load_interface
 from roboneuron.contract import Endpoint, RobotProfile
-from roboneuron.gate.fields import FLOATS, INTEGERS, walk_fields
-from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.gate.limits import sent_type
-from roboneuron.server.motion.exposed import Exposed
 
 _VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration", "std_msgs/Header")

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from rn_tools_ros.options import ExposeConfig
 from roboneuron.errors import RefusedError
-from roboneuron.gate.request import ADMIN
+from roboneuron.gate.roles import ADMIN
 from roboneuron.server.access import is_local
 from roboneuron.server.tool import Arguments, CallContext, Result, Tool
 

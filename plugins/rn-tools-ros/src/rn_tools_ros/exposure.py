@@ -6,20 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
-from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
-from rn_tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
-from rn_tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
-from rn_tools_ros.pattern_limits import pattern_limits
-from rn_tools_ros.tightening import ConfiguredLimits, tighten
-from roboneuron.config import Config
-from roboneuron.contract import Endpoint, RobotProfile
-from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.gate import check_endpoint
-from roboneuron.gate.joints import JOINT_TYPES
-from roboneuron.modules.plugin import load_profile
-from roboneuron.plugins.registry import Registry
-from roboneuron.server.motion.exposed import (
+from rn_direct_path.exposed import (
     Exposed,
     Use,
     by_topic,
@@ -29,6 +16,19 @@ from roboneuron.server.motion.exposed import (
     same_for_each_topic,
     tightened_by,
 )
+from rn_direct_path.joints import JOINT_TYPES
+from rn_direct_path.limits import check_endpoint
+from rn_tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
+from rn_tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
+from rn_tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
+from rn_tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
+from rn_tools_ros.pattern_limits import pattern_limits
+from rn_tools_ros.tightening import ConfiguredLimits, tighten
+from roboneuron.config import Config
+from roboneuron.contract import Endpoint, RobotProfile
+from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron.modules.plugin import load_profile
+from roboneuron.plugins.registry import Registry
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,6 +9,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.feature import gate_of
 from rn_tools_ros.derive import derive_tools
 from rn_tools_ros.directory import directory_tools
 from rn_tools_ros.discovered_limits import check_patterns
@@ -28,7 +30,6 @@ from roboneuron.gate import AuditRecord
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
-from roboneuron.server.motion.exposed import Exposed
 from roboneuron.server.tool import Tool
 
 log = logging.getLogger(__name__)
@@ -124,7 +125,9 @@ class RosTools(Feature[RosToolsOptions]):
                 )
             kept = tuple(e for e in self._added if not _is_about(e, whose, name, kind, self._host.config))
             change = self._change(kept, self._hidden | meant, admin)
-            self._host.gate.end_motions(f"{name!r} was withdrawn.", _END_S, lambda exposed: use_of(exposed) in meant)
+            gate_of(self._host).end_motions(
+                f"{name!r} was withdrawn.", _END_S, lambda exposed: use_of(exposed) in meant
+            )
             return change
 
     def _change(self, added: tuple[ExposeConfig, ...], hidden: frozenset[Use], admin: Admin) -> ExposureChange:
@@ -170,12 +173,12 @@ class RosTools(Feature[RosToolsOptions]):
             new = [e for e in self._discovered if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
-            self._host.gate.expose(FEATURE.name, [*endpoints, *nodes], instead_of_profile=True)
+            gate_of(self._host).expose(FEATURE.name, [*endpoints, *nodes], instead_of_profile=True)
             self.exposed = Exposure(endpoints=endpoints, nodes=configured.nodes)
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
     def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[Tool[Any]]:
-        settings = parameter_tools(configured.nodes, self._host.gate)
+        settings = parameter_tools(configured.nodes, gate_of(self._host))
         names = {*self._host.tools.names(besides=FEATURE.name), *taken, *(tool.name for tool in settings)}
         derived = derive_tools(endpoints, self._host, names | _DIRECTORY)
         if len(derived) <= self.options.direct.listed_tools:

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rn_direct_path.arbiter import Ending, Motion, MotionEnd
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.motion_gate import MotionGate
+from rn_direct_path.request import GateRequest, Verdict
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
-from roboneuron.gate import GateRequest, Verdict
-from roboneuron.server.motion.arbiter import Ending, Motion, MotionEnd
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.gate import MotionGate
 
 _POLL_S = 0.01
 _STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}

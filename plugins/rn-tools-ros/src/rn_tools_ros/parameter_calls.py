@@ -8,14 +8,14 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.exposed import SET_PARAMETERS, Exposed, gate_request
+from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.interfaces import Plain, load_message
 from rn_tools_ros.parameter_nodes import ParameterNode
 from rn_tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
 from rn_tools_ros.service_calls import Response, call
 from roboneuron.contract import Endpoint
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.server.motion.exposed import SET_PARAMETERS, Exposed, gate_request
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage
 
 MOST = 100

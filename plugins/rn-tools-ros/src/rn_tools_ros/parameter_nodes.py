@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from rn_direct_path.exposed import check_owner, is_module
 from rn_tools_ros.options import ExposeConfig
 from roboneuron.errors import ConfigurationError
-from roboneuron.server.motion.exposed import check_owner, is_module
 
 _NAME = re.compile(r"[!-~]{1,200}")
 

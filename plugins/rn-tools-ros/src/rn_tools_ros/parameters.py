@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.parameter_calls import (
     ListParameters,
     NamedParameters,
@@ -15,7 +16,6 @@ from rn_tools_ros.parameter_calls import (
     Setting,
 )
 from rn_tools_ros.parameter_nodes import ParameterNode
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.schema import Derived, Schema
 from roboneuron.server.tool import Tool
 

@@ -6,10 +6,10 @@ import fnmatch
 from collections.abc import Iterable
 from dataclasses import replace
 
+from rn_direct_path.exposed import tightened_by
 from rn_tools_ros.exposed_types import number_fields
 from rn_tools_ros.options import DiscoverConfig
 from roboneuron.contract import Endpoint
-from roboneuron.server.motion.exposed import tightened_by
 
 OTHERS = "*"
 """Stands in the limits of a pattern for all numbers of a type that are not named."""

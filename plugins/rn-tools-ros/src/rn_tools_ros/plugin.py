@@ -8,6 +8,7 @@ FEATURE = FeatureSpec(
     target="rn_tools_ros.feature:RosTools",
     config="rn_tools_ros.options:RosToolsOptions",
     sections=("direct", "expose", "discover"),
+    needs=("direct-path",),
 )
 """Descriptor of the feature."""
 COMMAND = CommandSpec(

@@ -8,15 +8,15 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.delivery import Sent
+from rn_direct_path.exposed import Exposed, gate_request
+from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
 from rn_tools_ros.calls import duration_s as trajectory_s
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.steps import Step, publish_steps
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion.delivery import Sent
-from roboneuron.server.motion.exposed import Exposed, gate_request
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.server.tool import CallContext, Result, Stage
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.exposed import Exposed, gate_request
+from rn_direct_path.feature import gate_of
 from rn_tools_ros.calls import RobotCall, Value
 from rn_tools_ros.exposed_types import message_of
 from rn_tools_ros.reading import read_messages
@@ -15,7 +17,6 @@ from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.server.host import Host
-from roboneuron.server.motion.exposed import Exposed, gate_request
 from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Picture, Reply, Result
 
@@ -62,7 +63,7 @@ class Reading:
     async def __call__(self, arguments: Read, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        gate_of(self._host).check(gate_request(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(
             lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt), on_cancel=halt.set

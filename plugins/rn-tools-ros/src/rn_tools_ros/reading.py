@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from rn_direct_path.exposed import Exposed
 from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.server.host import Host
-from roboneuron.server.motion.exposed import Exposed
 
 _POLL_S = 0.02
 

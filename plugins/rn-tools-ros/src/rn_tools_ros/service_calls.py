@@ -7,10 +7,10 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.motion_gate import MotionGate
+from rn_direct_path.request import GateRequest, Verdict
 from roboneuron.errors import NotReadyError, StateError
-from roboneuron.gate import GateRequest, Verdict
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.gate import MotionGate
 from roboneuron.supervisor.changes import Changes
 
 

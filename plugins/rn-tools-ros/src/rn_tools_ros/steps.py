@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from roboneuron.gate import GateRequest
-from roboneuron.server.motion.delivery import Command, Sent
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.gate import MotionGate
+from rn_direct_path.delivery import Command, Sent
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.motion_gate import MotionGate
+from rn_direct_path.request import GateRequest
 from roboneuron.server.tool import Stage
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron.server.motion.delivery import TRAJECTORY
-from roboneuron.server.motion.exposed import Exposed
+from rn_direct_path.delivery import TRAJECTORY
+from rn_direct_path.exposed import Exposed
 from roboneuron.server.schema import Schema
 
 

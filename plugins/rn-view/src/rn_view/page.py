@@ -20,7 +20,7 @@ from rn_view.plots import History, Plots
 from rn_view.scene import Scene
 from rn_view.source import Snapshot, Source
 from roboneuron import RoboNeuronError, RobotProfile
-from roboneuron.gate.request import OPERATOR, has_role
+from roboneuron.gate.roles import OPERATOR, has_role
 from roboneuron.server.access import Holder
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_vla.pruning import PrunableDecoder
-from roboneuron import Acceleration, AccelerationChanger, Runtime
+from roboneuron import Acceleration, Runtime
 from roboneuron.contract.arrays import freeze
 
 F32 = NDArray[np.float32]
@@ -228,5 +228,11 @@ class BatchRuntime(Protocol):
 
 LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
 """An acceleration of Llama-shaped decoders."""
-LlamaAccelerationChanger: TypeAlias = AccelerationChanger[PrunableDecoder]
-"""A runtime of Llama-shaped decoders whose acceleration changes while the model stays loaded."""
+
+
+class LlamaAccelerationChanger(Protocol):
+    """A runtime of Llama-shaped decoders whose acceleration changes while the model stays loaded."""
+
+    def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
+        """Execute every later `run` with this preset, or with none; between two of them, in milliseconds."""
+        ...

@@ -80,7 +80,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be written.
     """
     from roboneuron.errors import RefusedError
-    from roboneuron.gate.request import ADMIN
+    from roboneuron.gate.roles import ADMIN
 
     state = latch.read_state()
     if not state.latched:

@@ -12,19 +12,18 @@ from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import Ahead, CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
-    TWIST_FIELDS, CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile,
-    Workspace, check_twist,
+    CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile, Workspace,
 )
 from roboneuron.contract.protocols import (
-    Acceleration, AccelerationChanger, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource,
-    PostureInspector, RecoverableDriver, RobotDriver, Runtime, Topics,
+    Acceleration, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource, PostureInspector, RobotDriver,
+    Runtime, Topics,
 )
 
 __all__ = [
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TWIST_FIELDS", "Acceleration", "AccelerationChanger", "Action",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action",
     "ActionChunk", "Ahead", "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile",
     "CollisionProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits",
     "JointSample", "Observation", "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity",
-    "RecoverableDriver", "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
-    "check_action_vector", "check_rgb8", "check_twist", "frame_from_buffer",
+    "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
+    "check_action_vector", "check_rgb8", "frame_from_buffer",
 ]

@@ -6,7 +6,6 @@ Arrays are kept as read-only copies.
 from __future__ import annotations
 
 import functools
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -15,13 +14,9 @@ import numpy as np
 
 from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import CameraCalibration
-from roboneuron.errors import RefusedError
 
 ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 """Distance from its target at which a revolute and a prismatic joint count as there."""
-TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
-"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning about them [rad/s]."""
-_TOLERANCE = 1e-9
 
 
 @functools.lru_cache(maxsize=16)
@@ -162,7 +157,7 @@ class Endpoint:
         rate_hz: most messages per second; 0 means no bound.
         stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
-        min_turning_radius_m: of a base that steers like a car; its twists obey `check_twist`. 0: it turns on the spot.
+        min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it turns on the spot.
         repeat_hz: a value that is to last is sent again this often, because the robot stops when messages cease;
             repetitions do not count against `rate_hz`. 0: it is sent once.
     """
@@ -225,41 +220,3 @@ class RobotProfile:
     def camera(self, name: str) -> CameraProfile | None:
         """The camera of that name, or None."""
         return next((c for c in self.cameras if c.name == name), None)
-
-
-def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:
-    """Raise unless the base behind `endpoint` can move as `twist` says; the gate and the driver ask alike.
-
-    Args:
-        endpoint: its `bounds` limit each field, its `min_turning_radius_m` how sharply the base turns.
-        twist: value by path, some of TWIST_FIELDS; absent ones are 0.
-
-    Raises:
-        RefusedError: a value is not finite or out of bounds, or the turn is sharper than the steering allows.
-    """
-    for path, value in twist.items():
-        if not math.isfinite(value):
-            raise RefusedError(f"{path} is {value}, expected a finite number; nothing was sent to {endpoint.name!r}.")
-        low, high = endpoint.bounds.get(path, (-math.inf, math.inf))
-        if low == high == 0.0 and value != 0.0:
-            raise RefusedError(f"{path} is {value:g}, expected 0: the base cannot move along or about this axis.")
-        if not low <= value <= high:
-            raise RefusedError(f"{path} is {value:g}, expected {low:g} .. {high:g}: beyond the limits of the base.")
-    _check_radius(endpoint.min_turning_radius_m, twist.get("linear.x", 0.0), twist.get("angular.z", 0.0))
-
-
-def _check_radius(radius_m: float, linear_m_s: float, angular_rad_s: float) -> None:
-    if radius_m <= 0.0 or angular_rad_s == 0.0:
-        return
-    if linear_m_s == 0.0:
-        raise RefusedError(
-            f"angular.z is {angular_rad_s:g} with linear.x 0: the base steers like a car and cannot turn on the spot.",
-            hint=f"Drive while turning; |linear.x| must be at least {radius_m * abs(angular_rad_s):g} for this turn.",
-        )
-    wanted_m = abs(linear_m_s / angular_rad_s)
-    if wanted_m < radius_m * (1.0 - _TOLERANCE):
-        raise RefusedError(
-            f"linear.x {linear_m_s:g} with angular.z {angular_rad_s:g} is a turn of radius {wanted_m:.3g} m, "
-            f"expected at least {radius_m:g} m: the steering ends there.",
-            hint=f"Turn at {abs(linear_m_s) / radius_m:.3g} rad/s or less, or drive faster.",
-        )

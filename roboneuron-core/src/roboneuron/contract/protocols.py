@@ -134,26 +134,6 @@ class Acceleration(Protocol[Accelerated]):
         ...
 
 
-@runtime_checkable
-class AccelerationChanger(Protocol[Decoder]):
-    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
-
-    Core asks with `isinstance`. A backend that executes its model itself may offer it likewise.
-    """
-
-    def set_acceleration(self, acceleration: Acceleration[Decoder] | None) -> None:
-        """Execute every later `run` with this preset, or with none.
-
-        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds, holds
-        no more memory afterwards, and answers are then those of a model that was loaded with the preset.
-
-        Raises:
-            RoboNeuronError: why it cannot be; the preset that was in force stays so.
-            StateError: before `load` or after `close`.
-        """
-        ...
-
-
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
 """A runtime of a family that is not known here: it can be handed on, aborted and closed, but not used."""
 AnyAcceleration: TypeAlias = Acceleration[Never]
@@ -241,18 +221,4 @@ class RobotDriver(Protocol):
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice and before `open`."""
-        ...
-
-
-@runtime_checkable
-class RecoverableDriver(Protocol):
-    """What a driver may offer beside `RobotDriver`: to clear a fault that has stopped the robot."""
-
-    def recover(self) -> str:
-        """Clear the fault because a person said so; nothing moves. Returns what was cleared.
-
-        Raises:
-            StateError: there is no fault.
-            RefusedError: its cause still stands; the message says what to do.
-        """
         ...

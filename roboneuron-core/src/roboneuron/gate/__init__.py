@@ -1,13 +1,8 @@
-"""The gate that everything passes before it moves a robot: allow list, limits, rates, emergency stop, audit."""
+"""What keeps a robot safe whoever moves it: limits of motion, emergency stop, roles, audit."""
 
 # fmt: off
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch, LatchState
-from roboneuron.gate.gate import Gate
-from roboneuron.gate.limits import check_endpoint
-from roboneuron.gate.request import ADMIN, OPERATOR, ROLES, VIEWER, AllowedEndpoint, Clamp, GateRequest, Verdict
+from roboneuron.gate.roles import ADMIN, OPERATOR, ROLES, VIEWER
 
-__all__ = [
-    "ADMIN", "OPERATOR", "ROLES", "VIEWER", "AllowedEndpoint", "AuditLog", "AuditRecord", "Clamp",
-    "EmergencyStopLatch", "Gate", "GateRequest", "LatchState", "Verdict", "check_endpoint",
-]
+__all__ = ["ADMIN", "OPERATOR", "ROLES", "VIEWER", "AuditLog", "AuditRecord", "EmergencyStopLatch", "LatchState"]

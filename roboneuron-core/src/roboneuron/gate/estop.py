@@ -23,7 +23,7 @@ from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.request import ADMIN, has_role
+from roboneuron.gate.roles import ADMIN, has_role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)

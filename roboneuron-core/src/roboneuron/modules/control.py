@@ -16,18 +16,15 @@ from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSam
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import collision_of
 from roboneuron.gate.motion.command import pick
-from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module import Module, ModuleNode
-from roboneuron.modules.motion import MotionGuard
+from roboneuron.modules.motion import JointWatch, MotionGuard
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import FIRST_STEP_S, FUTURE_S, HOLD_DURATION_S, HOLD_SHARE, SHORTEST_STEP_S
 from roboneuron.planning import check_plan
-from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import (
     commands_from_message,
     joints_from_message,
-    pose_from_message,
-    to_joint_command_state,
+    to_joint_state,
     to_joint_trajectory,
     to_pose_stamped,
     vector_from_action_message,
@@ -54,18 +51,17 @@ class ControlModule(Module):
         self._active = False
         self._holding = True
         self._hold_is_due = False
-        registry = discover(self.config.disabled_plugins)
         section = self.config.robot
         check_plan(
-            registry,
+            self.registry,
             robot=section.name,
             driver=section.driver,
             controller=config.controller,
             elsewhere=("driver",),
         )
-        profile = load_profile(registry, section.name)
+        profile = load_profile(self.registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
-        spec = registry.get("controller", config.controller)
+        spec = self.registry.get("controller", config.controller)
         self._controller = cast("Controller", build(spec, self.config.options(spec.name), self._profile))
         node.resources.callback(self._controller.close)
         self._controller.load()
@@ -87,9 +83,6 @@ class ControlModule(Module):
         self._command = node.advertise(*commands)
         node.subscribe(JointState, JOINT_STATES, self._on_joint_state)
         node.subscribe(Float64MultiArray, ACTION, self._on_action)
-        if node.settings.shadow:
-            node.subscribe(PoseStamped, EE_POSE, self._on_predecessors_pose)
-            node.subscribe(*commands, self._on_predecessors_command)
         node.repeat(config.action_timeout_s / 5, self._watch)
         self.status.set_value("controller", spec.name)
 
@@ -110,6 +103,19 @@ class ControlModule(Module):
         """Hold as long as the latch is set."""
         if latched and self._active:
             self._hold("emergency_stop", "The emergency stop is latched.")
+
+    def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
+        """Go on from where a command of the control before this one, sent then [monotonic s], has sent the arm.
+
+        Raises:
+            InvalidInputError: it is malformed.
+        """
+        command = commands_from_message(message)[0]
+        joints = self._watched.joints
+        if not self._is_sent and joints is not None:
+            self._guard.follow(command, joints, sent_s)
+            self._action_s, self._holding = sent_s, False
+        return command
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
@@ -250,23 +256,6 @@ class ControlModule(Module):
     def _is_ours_now(self) -> bool:
         return self.handover.is_ours(time.time_ns())
 
-    def _on_predecessors_pose(self, message: PoseStamped) -> None:
-        self.handover.hear(pose_from_message(message), time.monotonic())
-
-    def _on_predecessors_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
-        """Go on from where the control before this one has sent the arm."""
-        try:
-            command = commands_from_message(message)[0]
-        except RoboNeuronError:
-            self.status.dropped.add("malformed_command")
-            return
-        sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)
-        joints = self._watched.joints
-        if not self._is_sent and joints is not None:
-            self._guard.follow(command, joints, sent_s)
-            self._action_s, self._holding = sent_s, False
-        self.handover.hear(command, sent_s)
-
     def _command_hold(self, joints: JointSample) -> None:
         self._hold_is_due = False
         arm = self._profile.arm_joints
@@ -277,4 +266,4 @@ class ControlModule(Module):
     def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
         if self._limits.command == "joint_trajectory":
             return to_joint_trajectory(command)
-        return to_joint_command_state(command, self.node.now_ns())
+        return to_joint_state(JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns()))

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 
 from roboneuron.contract import ActionChunk, Observation
 from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.row_queue import Outcome, Row, RowQueue
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.specs import BackendSpec
 
@@ -25,6 +25,34 @@ of it."""
 _LEAST_WAIT_S = 0.001
 _RESYNC = 0.5
 """A row that is later than this share of a period starts the period anew; less is jitter, and the grid is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One action of a chunk.
+
+    Attributes:
+        vector: float64 (7,), contract units.
+        index, horizon: place in its chunk, and rows of that chunk.
+        oldest_ns: capture time of the oldest image that it answers [ns].
+        step_s: period of its chunk [s].
+        is_border: the first of its chunk that is played.
+    """
+
+    vector: F64
+    index: int
+    horizon: int
+    oldest_ns: int
+    step_s: float
+    is_border: bool
+
+
+def rows_of(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:
+    """`vectors`, float64 (N, 7), as the rows of `chunk` from number `first` on."""
+    return [
+        Row(vector, first + i, len(chunk.actions), oldest_ns, chunk.step_s, is_border=i == 0)
+        for i, vector in enumerate(vectors)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,20 +94,23 @@ class Bounds:
 class ChunkExecutor:
     """Decides for one backend. Thread-safe.
 
+    Every instruction, emergency stop and handover begins a new epoch. Answers to observations of an earlier epoch are
+    dropped.
+
     Args:
         bounds: ages of images.
 
     Attributes:
         changed: held while anything is decided; notified when rows arrive or are sent, and when an epoch begins.
-        heard_s: monotonic time of the newest row that the predecessor of a handover sent [s].
     """
 
-    def __init__(self, bounds: Bounds, queue: RowQueue | None = None) -> None:
+    def __init__(self, bounds: Bounds) -> None:
         self._bounds = bounds
-        self._queue = queue if queue is not None else RowQueue()
+        self._rows: deque[Row] = deque()
+        self._epoch = 0
         self._step_s: float | None = None
         self._due_s = 0.0
-        self.heard_s = -math.inf
+        self._heard_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
     # -- who predicts
@@ -89,7 +120,7 @@ class ChunkExecutor:
         with self.changed:
             if self._step_s is None:
                 return True
-            return len(self._queue) == 0 and now_s >= self._due_s - (1.0 - _PACE) * self._step_s
+            return not self._rows and now_s >= self._due_s - (1.0 - _PACE) * self._step_s
 
     def wait_until_wanted(self, stop: threading.Event, timeout_s: float) -> bool:
         """Block until a prediction is wanted; False after `timeout_s` or when `stop` is set."""
@@ -102,7 +133,7 @@ class ChunkExecutor:
                 if now_s >= end_s:
                     break
                 # Between two chunks of sequential execution nothing but time makes a prediction wanted.
-                is_paced = self._queue.next is None and self._step_s is not None
+                is_paced = not self._rows and self._step_s is not None
                 wait_s = self._due_s - (1.0 - _PACE) * (self._step_s or 0.0) - now_s if is_paced else end_s - now_s
                 self.changed.wait(max(_LEAST_WAIT_S, min(wait_s, end_s - now_s)))
         return False
@@ -115,10 +146,12 @@ class ChunkExecutor:
             captured_ns: capture time of the image that paces the loop [ns].
         """
         with self.changed:
-            return Prediction(observation=observation, captured_ns=captured_ns, epoch=self._queue.epoch)
+            return Prediction(observation=observation, captured_ns=captured_ns, epoch=self._epoch)
 
-    def answer(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> Outcome:
-        """Take an answer over; everything but "accepted" leaves the rows as they are.
+    def answer(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> str:
+        """Take an answer over; returns "accepted", or a word for why the rows stay as they are.
+
+        "withdrawn": it was made for an earlier instruction or before a stop. A feature's executor has words of its own.
 
         Args:
             prediction: what `begin` returned.
@@ -127,7 +160,7 @@ class ChunkExecutor:
         """
         with self.changed:
             self.measure(prediction, chunk, now_ns)
-            outcome = self._put(prediction, chunk)
+            outcome = self._put(prediction, chunk) if prediction.epoch == self._epoch else "withdrawn"
             self.changed.notify_all()
             return outcome
 
@@ -146,8 +179,7 @@ class ChunkExecutor:
     def due_s(self) -> float | None:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:
-            row = self._queue.next
-            return None if row is None else max(self._due_s, self.heard_s + row.step_s)
+            return max(self._due_s, self._heard_s + self._rows[0].step_s) if self._rows else None
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.
@@ -163,19 +195,20 @@ class ChunkExecutor:
             NotReadyError: the image behind the row has become too old; the rest of its chunk is dropped.
         """
         with self.changed:
-            row, due_s = self._queue.next, self.due_s()
-            if row is None or due_s is None or now_s < due_s:
+            due_s = self.due_s()
+            if due_s is None or now_s < due_s:
                 return None
+            row = self._rows[0]
             age_s, most_s = (now_ns - row.oldest_ns) / 1e9, self._bounds.of(row)
             if age_s > most_s:
-                self._queue.drop()
+                self.drop()
                 name = "max_image_age_s" if row.is_border else "max_tail_age_s"
                 raise NotReadyError(
                     f"The image behind row {row.index + 1} of {row.horizon} was {age_s:.2f} s old when the row was "
                     f"due; {name} = {most_s:g} are allowed, so nothing was published.",
                     hint="Make the backend faster, or allow older images under [inference].",
                 )
-            self._queue.pop(now_ns)
+            self._take(now_ns)
             self._due_s = (now_s if now_s - due_s > _RESYNC * row.step_s else due_s) + row.step_s
             self.changed.notify_all()
             return row
@@ -183,31 +216,36 @@ class ChunkExecutor:
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
         """Count a row that the predecessor of a handover sent; the next row is due a period after it."""
         with self.changed:
-            self.heard_s = now_s
-            self._queue.note_sent(vector, now_ns)
+            self._heard_s = now_s
+            if self._rows:
+                self._rows.popleft()
 
     # -- what interrupts
 
     def begin_epoch(self) -> None:
         """Begin with another instruction, after a stop or a start: no row and no answer of before is played."""
         with self.changed:
-            self._queue.begin_epoch()
-            self.changed.notify_all()
+            self._epoch += 1
+            self.drop()
 
     def drop(self) -> None:
         """Send no more of the rows; the successor of a handover plays."""
         with self.changed:
-            self._queue.drop()
+            self._rows.clear()
             self.changed.notify_all()
 
     def values(self) -> dict[str, str | float | int]:
         """What the status tells of execution: numbers and words by name, without those that are unknown."""
         with self.changed:
             reason = "no feature that executes chunks in another way is installed where this module runs"
-            return {"mode": "sequential", "reason": reason, "rows": len(self._queue)}
+            return {"mode": "sequential", "reason": reason, "rows": len(self._rows)}
 
-    def _put(self, prediction: Prediction, chunk: ActionChunk) -> Outcome:
-        return self._queue.append(chunk, prediction.epoch, oldest_ns=prediction.observation.stamp_ns)
+    def _put(self, prediction: Prediction, chunk: ActionChunk) -> str:
+        self._rows.extend(rows_of(chunk.actions, chunk, prediction.observation.stamp_ns, first=0))
+        return "accepted"
+
+    def _take(self, sent_ns: int) -> None:
+        self._rows.popleft()
 
 
 def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:

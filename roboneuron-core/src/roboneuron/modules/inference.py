@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 from geometry_msgs.msg import PoseStamped
@@ -17,7 +18,6 @@ from std_msgs.msg import Float64MultiArray, String
 
 from roboneuron.contract import (
     ActionChunk,
-    AnyAcceleration,
     AnyRuntime,
     Backend,
     CameraProfile,
@@ -25,17 +25,15 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.execution import Bounds, Prediction
+from roboneuron.modules.execution import Bounds, Prediction, Row
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.player import RowPlayer
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
-from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.specs import AccelerationSpec, BackendSpec
+from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.messages import to_action_message
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, PREDICTIONS, camera_image, camera_info
 
@@ -61,6 +59,7 @@ class InferenceModule(Module):
 
     Attributes:
         backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
+        executor: what decides when to predict and what to send.
         before_prediction: called on the predicting thread between two predictions.
         describe_prediction: lines of text to publish after each prediction, from what the backend was given, how its
             answer is executed, whether it was reset before, its answer or why there is none, and whether somebody
@@ -73,9 +72,8 @@ class InferenceModule(Module):
         config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
-        registry = self._registry = discover(self.config.disabled_plugins)
         plan = check_plan(
-            registry,
+            self.registry,
             robot=robot.name,
             driver=robot.driver,
             backend=config.backend,
@@ -84,8 +82,8 @@ class InferenceModule(Module):
             cameras=config.cameras,
             elsewhere=("driver",),
         )
-        spec = registry.get(BackendSpec, config.backend)
-        profile = load_profile(registry, robot.name)
+        spec = self.registry.get(BackendSpec, config.backend)
+        profile = load_profile(self.registry, robot.name)
         cameras = _cameras(plan, profile)
         options = dict(self.config.options(spec.name))
         if config.checkpoint is not None:
@@ -119,25 +117,25 @@ class InferenceModule(Module):
         self._actions = node.advertise(Float64MultiArray, ACTION)
         self._predictions = node.advertise(String, PREDICTIONS)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self._executor = node.make_executor(spec, config.execution, bounds)
+        self.executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         node.resources.callback(self._worker.stop, give_up=self._give_up)
-        self._instruction = Instruction(node, config.instruction, self._executor.begin_epoch)
-        self._player = RowPlayer(node, self._executor, self._send)
+        self._instruction = Instruction(node, config.instruction, self.executor.begin_epoch)
+        self._player = RowPlayer(node, self.executor, self._send)
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
         self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
         self._instruction.restart()
-        self._executor.begin_epoch()
+        self.executor.begin_epoch()
         self.status.set_waiting(self._inputs.missing() or "the first action")
         self._player.start()
         self._worker.start()
 
     def deactivate(self) -> None:
         """Stop publishing at once; a prediction in progress is given up, or thrown away."""
-        self._executor.begin_epoch()
+        self.executor.begin_epoch()
         self._player.stop()
         if not self._worker.stop(give_up=self._give_up):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
@@ -145,12 +143,7 @@ class InferenceModule(Module):
     def emergency_stop(self, latched: bool) -> None:
         """Forget what was planned; after a release, act on what is captured from then on."""
         self._not_before_ns = self.node.now_ns()
-        self._executor.begin_epoch()
-
-    def build_acceleration(self, name: str) -> AnyAcceleration:
-        """The installed acceleration of that name, with its configured options. Raises as `build`."""
-        spec = self._registry.get(AccelerationSpec, name)
-        return cast("AnyAcceleration", build(spec, self.config.options(name)))
+        self.executor.begin_epoch()
 
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
@@ -163,8 +156,8 @@ class InferenceModule(Module):
 
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
         for role, camera in cameras.items():
-            self.node.subscribe(CameraInfo, camera_info(camera.name), self._inputs.camera_info_callback(role))
-            self.node.subscribe(Image, camera_image(camera.name), self._inputs.image_callback(role))
+            self.node.subscribe(CameraInfo, camera_info(camera.name), partial(self._inputs.on_camera_info, role))
+            self.node.subscribe(Image, camera_image(camera.name), partial(self._inputs.on_image, role))
         if with_state:
             self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
             self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
@@ -176,7 +169,7 @@ class InferenceModule(Module):
         if self.node.stopped:
             stop.wait(_WAIT_S)
             return
-        if not self._executor.wait_until_wanted(stop, _WAIT_S):
+        if not self.executor.wait_until_wanted(stop, _WAIT_S):
             return
         observation = self._observe()
         if observation is None:
@@ -192,23 +185,23 @@ class InferenceModule(Module):
             self.status.set(note="waiting for an instruction")
             self.status.set_ready()
             return
-        prediction = self._executor.begin(replace(observation, instruction=instruction), captured_ns)
+        prediction = self.executor.begin(replace(observation, instruction=instruction), captured_ns)
         if self._instruction.count != count:  # changed meanwhile: the epoch may be that of the next one
             return
         chunk = self._predict(prediction)
         now_ns = self.node.now_ns()
         if self.handover.is_shadow(captured_ns):
             self.status.set(note="in shadow")
-            self._executor.measure(prediction, chunk, now_ns)
+            self.executor.measure(prediction, chunk, now_ns)
             self._check_age(prediction)
             self.handover.withhold(chunk)
             self._note_first(prediction.observation.stamp_ns)
         else:
             self.status.set(note=chunk.note)
-            outcome = self._executor.answer(prediction, chunk, now_ns)
+            outcome = self.executor.answer(prediction, chunk, now_ns)
             if outcome != "accepted":
                 self.status.dropped.add(f"{outcome}_chunk")
-        for name, value in self._executor.values().items():  # how chunks are executed, and the numbers that decided
+        for name, value in self.executor.values().items():  # how chunks are executed, and the numbers that decided
             self.status.set_value(f"execution.{name}", value)
 
     def _observe(self) -> Observation | None:
@@ -237,7 +230,7 @@ class InferenceModule(Module):
             chunk = self.backend.predict(prediction.observation)
         except Exception as error:
             self._tell(prediction, resets, error)
-            self._executor.drop()  # rows that were planned before must not go on when the newest image is refused
+            self.executor.drop()  # rows that were planned before must not go on when the newest image is refused
             raise
         took_s = time.monotonic() - started_s
         self._took_s.append(took_s)

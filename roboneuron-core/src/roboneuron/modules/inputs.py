@@ -118,38 +118,28 @@ class NewestInputs:
         self._refused = "image"
         self._leading = next(iter(self.cameras), "")
 
-    def image_callback(self, role: str) -> Callable[[Image], None]:
-        """Return the subscription callback of the camera with that role."""
-        camera = self._calibrated[role]
+    def on_image(self, role: str, message: Image) -> None:
+        """Subscription callback for the camera with that role."""
+        try:
+            frame = self._calibrated[role].to_frame(message)
+        except InvalidInputError as error:
+            self._status.dropped.add("bad_image")
+            self._status.set_error(error)
+            return
+        with self._fresh:
+            self._frames[role] = frame
+            self._fresh.notify()
+        # Give the interpreter lock to the waiting inference thread now: otherwise it waits until the executor has
+        # rebuilt its wait set, which takes longer than everything else between image and action.
+        time.sleep(_HAND_OVER_S)
 
-        def on_image(message: Image) -> None:
-            try:
-                frame = camera.to_frame(message)
-            except InvalidInputError as error:
-                self._status.dropped.add("bad_image")
-                self._status.set_error(error)
-                return
-            with self._fresh:
-                self._frames[role] = frame
-                self._fresh.notify()
-            # Give the interpreter lock to the waiting inference thread now: otherwise it waits until the executor has
-            # rebuilt its wait set, which takes longer than everything else between image and action.
-            time.sleep(_HAND_OVER_S)
-
-        return on_image
-
-    def camera_info_callback(self, role: str) -> Callable[[CameraInfo], None]:
-        """Return the subscription callback of the calibration of the camera with that role."""
-        camera = self._calibrated[role]
-
-        def on_camera_info(message: CameraInfo) -> None:
-            try:
-                camera.set_info(message)
-            except InvalidInputError as error:
-                self._status.dropped.add("bad_camera_info")
-                self._status.set_error(error)
-
-        return on_camera_info
+    def on_camera_info(self, role: str, message: CameraInfo) -> None:
+        """Subscription callback for the calibration of the camera with that role."""
+        try:
+            self._calibrated[role].set_info(message)
+        except InvalidInputError as error:
+            self._status.dropped.add("bad_camera_info")
+            self._status.set_error(error)
 
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""

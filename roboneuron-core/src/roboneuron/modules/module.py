@@ -25,6 +25,7 @@ from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
 from roboneuron.modules.status import ModuleStatus, StatusReporter
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
 from roboneuron.ros.topics import WARM_UP
@@ -49,6 +50,7 @@ class Module(ABC):
         self.config = node.settings.config
         self.status = node.status
         self.handover = node.handover
+        self.registry = discover(self.config.disabled_plugins)
 
     @abstractmethod
     def activate(self) -> None:
@@ -122,11 +124,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Call `callback` with each message until cleanup."""
         self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
 
-    def add_parameter(
-        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
-    ) -> Callable[[], None]:
-        """See `ModuleHost.add_parameter`."""
-        return add_parameter(self, name, value, take, refuse)
+    add_parameter = add_parameter
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period until cleanup."""
@@ -256,7 +254,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a third of
         `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock held.
         """
-        now_s = self.status.clock()
+        now_s = time.monotonic()
         if self._warm_up is None or not self._warm_up.is_activated or len(self._warm_ups_s) == _WARM_UPS:
             return
         if not self._warm_ups_s or now_s - self._warm_ups_s[-1] > _WARM_UP_PERIOD_S:

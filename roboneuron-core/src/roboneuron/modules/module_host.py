@@ -66,9 +66,6 @@ class Handover:
     def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
         """What the module would have sent for an input of the predecessor."""
 
-    def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
-        """What the predecessor has sent, and when [monotonic s]; called in shadow."""
-
     def note_sent(self, what: str) -> None:
         """An output of that name has gone out."""
 
@@ -115,9 +112,9 @@ def join(host: ModuleHost, reference: str) -> None:
 
 
 def add_parameter(
-    node: Node, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str]
+    node: Node, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
 ) -> Callable[[], None]:
-    """Do on a node what `ModuleHost.add_parameter` says."""
+    """See `ModuleHost.add_parameter`; a method of ModuleNode."""
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         reason = next((r for p in parameters if p.name == name and (r := refuse(p.value))), "")

@@ -1,23 +1,105 @@
-"""Control's last word before it publishes: the limits, what they did in the status, and in the audit."""
+"""Which joint states control believes, and its last word before it publishes: the limits, and what they did."""
 
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from pathlib import Path
 from time import time_ns
 from typing import Any
 
+import numpy as np
+
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import Controller, Hold, JointCommand, JointSample, PostureInspector, RobotProfile
-from roboneuron.errors import RefusedError
+from roboneuron.contract.arrays import F64
+from roboneuron.contract.profile import prismatic_joints
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
 from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord
 from roboneuron.gate.motion import Motion, MotionLimiter, Verdict, inspector_of, motion_rules
+from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import ModuleStatus
 
 _RECORD_PERIOD_S = 1.0
 """A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a second."""
 _CHANGE_PERIOD_S = 0.1
+_SLACK, _SLACK_M = 0.05, 0.01
+"""What noise and a late message may add to the way between two states [rad; m of slides]."""
+_HASTE = 2.0
+"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine."""
 log = logging.getLogger(__name__)
+
+
+class JointWatch:
+    """Keeps the newest joint state that can be true; used from the executor's thread.
+
+    After `timeout_s` without one, the next state is compared with none before it: a clock that was set, or an arm that
+    was moved while nobody listened, stops the arm for that long and not for ever.
+
+    Attributes:
+        joints: the newest state, or None when there was none.
+    """
+
+    def __init__(self, profile: RobotProfile, timeout_s: float) -> None:
+        self.joints: JointSample | None = None
+        self._position = np.empty(0)
+        self._names = profile.arm_joints
+        self._velocity = None if profile.limits is None else np.asarray(profile.limits.velocity, dtype=np.float64)
+        slides = prismatic_joints(profile.urdf)
+        self._slack = np.array([_SLACK_M if name in slides else _SLACK for name in profile.arm_joints])
+        self._timeout_s = timeout_s
+        self._at_s = 0.0
+
+    def age_s(self, now_s: float) -> float:
+        """Monotonic time since the newest state was accepted; infinite without one."""
+        return np.inf if self.joints is None else now_s - self._at_s
+
+    def accept(self, joints: JointSample, now_s: float, ros_now_ns: int) -> bool:
+        """Take a state; False for one that repeats the one before.
+
+        Args:
+            joints: as received.
+            now_s: monotonic time.
+            ros_now_ns: time by the clock of stamps.
+
+        Raises:
+            NotReadyError: it was measured too long ago.
+            InvalidInputError: it is older than the one before, or its stamp lies in the future.
+            UnsafeError: a joint of the arm is missing, not finite, or where it cannot have got to.
+        """
+        age_s = (ros_now_ns - joints.stamp_ns) / 1e9
+        if abs(age_s) > self._timeout_s:
+            late = age_s > 0
+            error = NotReadyError if late else InvalidInputError  # on a busy machine anything is late now and then
+            raise error(
+                f"A joint state was measured {abs(age_s):.3g} s {'ago' if late else 'in the future'}, at most "
+                f"{self._timeout_s:g} s are allowed.",
+                hint="Is the robot's driver stuck, or are the clocks of two machines apart?",
+            )
+        if not np.isfinite(joints.position).all():
+            raise UnsafeError("A joint state holds non-finite positions.")
+        position = pick(joints.names, joints.position, self._names)
+        if self.joints is not None and self.age_s(now_s) <= self._timeout_s:
+            if joints.stamp_ns < self.joints.stamp_ns:
+                raise InvalidInputError("A joint state is older than the one before.")
+            if joints.stamp_ns == self.joints.stamp_ns:
+                return False
+            self._check_way(position, now_s)
+        self.joints, self._position, self._at_s = joints, position, now_s
+        return True
+
+    def _check_way(self, position: F64, now_s: float) -> None:
+        if self._velocity is None:
+            return
+        before = self._position
+        way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
+        if way.max() > 0.0:
+            i = int(way.argmax())
+            raise UnsafeError(
+                f"{self._names[i]} is measured at {position[i]:.4f}, {abs(position[i] - before[i]):.4f} from where it "
+                f"was {now_s - self._at_s:.3f} s before; no arm is that fast.",
+                hint="Does something else publish joint states?",
+            )
 
 
 class MotionGuard:
@@ -56,7 +138,7 @@ class MotionGuard:
         )
         self._robot = profile.name
         self._status = status
-        self._counts: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
         self._audit = AuditLog(state / FILE_NAME, time_ns)
         self.follow, self.rest, self.close = self._limiter.follow, self._limiter.rest, self._audit.close
         self._recorded: tuple[str, ...] = ()
@@ -72,12 +154,12 @@ class MotionGuard:
         self._report("sent", verdict.sent)
         self._status.set_value("sent_share", verdict.share)
         for name in verdict.acted:
-            self._counts[name] = self._counts.get(name, 0) + 1
+            self._counts[name] += 1
             self._status.set_value(f"limited.{name}", self._counts[name])
         if verdict.reason:
             self._status.set_value("limit", verdict.reason)
         if verdict.reference_lost:
-            self._counts["reference_lost"] = self._counts.get("reference_lost", 0) + 1
+            self._counts["reference_lost"] += 1
             self._status.set_value("reference_lost", self._counts["reference_lost"])
         if verdict.command is None:
             self._status.dropped.add(f"limit_{verdict.acted[-1]}")

@@ -13,7 +13,6 @@ from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import Worker
-from roboneuron.plugins.discovery import discover
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import to_camera_info, to_image
 from roboneuron.ros.topics import camera_image, camera_info
@@ -32,10 +31,9 @@ class PerceptionModule(Module):
         config = self.config.perception
         if config is None:
             raise ConfigurationError("The configuration has no [perception] section.")
-        registry = discover(self.config.disabled_plugins)
-        profile = load_profile(registry, self.config.robot.name)
+        profile = load_profile(self.registry, self.config.robot.name)
         cameras = _choose(profile.cameras, config.cameras, profile.name)
-        spec = registry.get("perception", config.source)
+        spec = self.registry.get("perception", config.source)
         self._topics = NodeTopics(node)
         node.resources.callback(self._topics.close)
         options = self.config.options(spec.name)

@@ -6,20 +6,12 @@ import threading
 import time
 from collections.abc import Callable
 
-import numpy as np
-from std_msgs.msg import Float64MultiArray
-
-from roboneuron.contract import ACTION_SIZE
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.execution import ChunkExecutor
+from roboneuron.modules.execution import ChunkExecutor, Row
 from roboneuron.modules.module import ModuleNode
-from roboneuron.modules.row_queue import Row
 from roboneuron.modules.worker import Worker
-from roboneuron.ros.topics import ACTION
 
 _WAIT_S = 0.1
-_PREDECESSOR_S, _PREDECESSOR_PERIODS = 0.1, 1.5
-"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has nothing left."""
 _LOOK_S = 0.002
 """How often the successor in a handover looks whether the predecessor has finished."""
 
@@ -36,12 +28,9 @@ class RowPlayer:
         self._node = node
         self._executor = executor
         self._publish = send
-        self._has_sent = False
         self._worker = Worker("playing", self._play, node.status)
         self.start, self.stop = self._worker.start, self._worker.stop
         node.resources.callback(self.stop)
-        if node.settings.shadow:
-            node.subscribe(Float64MultiArray, ACTION, self._on_predecessors_action)
 
     def _play(self, stop: threading.Event) -> None:
         """Send the row that is due, or wait for it."""
@@ -56,8 +45,7 @@ class RowPlayer:
             if stop.is_set() or node.stopped or node.handover.must_fall_silent(now_ns):
                 executor.drop()
                 return
-            silent_s = max(_PREDECESSOR_S, _PREDECESSOR_PERIODS * executor.step_s)
-            if not node.handover.may_send(now_ns) and time.monotonic() - executor.heard_s < silent_s:
+            if not node.handover.may_send(now_ns):
                 executor.changed.wait(_LOOK_S)
                 return
             try:
@@ -66,11 +54,5 @@ class RowPlayer:
                 node.status.dropped.add("late_action")
                 raise
             if row is not None:
-                self._has_sent = True
                 node.handover.note_sent("action")
                 self._publish(row)
-
-    def _on_predecessors_action(self, message: Float64MultiArray) -> None:
-        """Count what moves the arm until this module does."""
-        if not self._has_sent and len(message.data) == ACTION_SIZE:
-            self._executor.note_sent(np.array(message.data), time.monotonic(), self._node.now_ns())

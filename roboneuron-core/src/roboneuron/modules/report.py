@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
-from typing import Any, Self, get_type_hints
+from typing import Any, Self
 
 from roboneuron.errors import InternalError, RoboNeuronError
 
@@ -62,7 +61,7 @@ class StatusReport:
 
     def to_values(self) -> dict[str, str]:
         """The pairs of a DiagnosticStatus; what is None is left out."""
-        values = {name: to_text(value) for name in _plain() if (value := getattr(self, name)) is not None}
+        values = {name: to_text(value) for name in _PLAIN if (value := getattr(self, name)) is not None}
         values |= {f"{_DROPPED}{reason}": str(count) for reason, count in self.dropped_by.items()}
         values |= {f"{_DETAIL}{key}": text for key, text in self.detail.items()}
         return values | dict(self.metrics)
@@ -70,12 +69,11 @@ class StatusReport:
     @classmethod
     def from_values(cls, values: Mapping[str, str], **more: Any) -> Self:
         """Read the pairs; what is malformed counts as not said. `more` are fields that are not on the wire."""
-        known = _plain()
         return cls(
-            **{name: parse(values[name]) for name, parse in known.items() if name in values},
+            **{name: parse(values[name]) for name, parse in _PLAIN.items() if name in values},
             dropped_by={k.removeprefix(_DROPPED): _count(v) for k, v in values.items() if k.startswith(_DROPPED)},
             detail={k.removeprefix(_DETAIL): v for k, v in values.items() if k.startswith(_DETAIL)},
-            metrics={k: v for k, v in values.items() if k not in known and not k.startswith((_DETAIL, _DROPPED))},
+            metrics={k: v for k, v in values.items() if k not in _PLAIN and not k.startswith((_DETAIL, _DROPPED))},
             **more,
         )
 
@@ -115,17 +113,12 @@ def _count(text: str) -> int:
     return int(_number(text) or 0)
 
 
-_PARSERS: dict[object, Any] = {
-    str: str,
-    int: _count,
-    bool: lambda text: text == "true",
-    float | None: _number,
-    bool | None: lambda text: text == "true",
+_PARSERS: dict[str, Any] = {
+    "str": str,
+    "int": _count,
+    "bool": lambda text: text == "true",
+    "float | None": _number,
+    "bool | None": lambda text: text == "true",
 }
-
-
-@cache
-def _plain() -> dict[str, Any]:
-    """How each field that is one pair is read."""
-    hints = get_type_hints(StatusReport)
-    return {f.name: _PARSERS[hints[f.name]] for f in fields(StatusReport) if hints[f.name] in _PARSERS}
+_PLAIN = {f.name: _PARSERS[str(f.type)] for f in fields(StatusReport) if f.type in _PARSERS}
+"""How each field that is one pair is read, by its annotation."""

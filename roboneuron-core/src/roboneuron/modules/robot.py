@@ -15,7 +15,6 @@ from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import FUTURE_S
 from roboneuron.modules.worker import LIMIT_S, Worker
-from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import commands_from_message, to_joint_state
@@ -44,15 +43,14 @@ class RobotModule(Module):
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
-        registry = discover(self.config.disabled_plugins)
-        robot = registry.get(RobotSpec, self.config.robot.name)
+        robot = self.registry.get(RobotSpec, self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
         if spec is None:
             names = ", ".join(repr(driver.name) for driver in robot.drivers)
             raise ConfigurationError(
                 f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers are {names}."
             )
-        profile = load_profile(registry, robot.name)
+        profile = load_profile(self.registry, robot.name)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)

@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,7 @@ _SAMPLES = 256
 class RateMeter:
     """Events per second over the last three seconds of monotonic time; `total` counts those since the start."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=4096)
         self._lock = threading.Lock()
         self.total = 0
@@ -39,13 +38,13 @@ class RateMeter:
     def tick(self) -> None:
         """Count one event now."""
         with self._lock:
-            self._times.append(self._clock())
+            self._times.append(time.monotonic())
             self.total += 1
 
     def rate_hz(self) -> float:
         """Mean rate over the window; 0 when fewer than two events fell into it."""
         with self._lock:
-            now = self._clock()
+            now = time.monotonic()
             while self._times and now - self._times[0] > _WINDOW_S:
                 self._times.popleft()
             if len(self._times) < 2:
@@ -55,7 +54,7 @@ class RateMeter:
     def age_s(self) -> float | None:
         """Seconds since the newest event, or None when there was none in the window's memory."""
         with self._lock:
-            return self._clock() - self._times[-1] if self._times else None
+            return time.monotonic() - self._times[-1] if self._times else None
 
 
 class Samples:
@@ -101,52 +100,46 @@ class Counts:
 class ModuleStatus:
     """Everything a module reports; every method may be called from any thread."""
 
-    def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
-        self.clock = clock
-        self.output = RateMeter(clock)
+        self.output = RateMeter()
         self.latency = Samples()
         self.dropped = Counts()
         self.changed = threading.Event()
-        self._started_s = clock()
-        self._loop_s = clock()
+        self._started_s = self._loop_s = time.monotonic()
         self._lock = threading.Lock()
-        self._state = "unconfigured"
-        self._ready = False
-        self._waiting_for = ""
-        self._error: RoboNeuronError | None = None
-        self._error_count = 0
-        self._fields: dict[str, Any] = {}
+        self._fields: dict[str, Any] = {"state": "unconfigured", "error_count": 0}
         self._detail: dict[str, str] = {}
         self._metrics: dict[str, str] = {}
         self._work: dict[str, tuple[float, float]] = {}
 
     def set_state(self, state: str) -> None:
         """Lifecycle state's label; leaving "active" ends readiness."""
-        with self._lock:
-            self._state = state
-            if state != "active":
-                self._ready = False
+        if state == "active":
+            self.set(state=state)
+        else:
+            self.set(state=state, ready=False)
         self.changed.set()
 
     def set_waiting(self, what: str) -> None:
         """Not ready: `what` is missing."""
-        with self._lock:
-            self._ready, self._waiting_for = False, what
+        self.set(ready=False, waiting_for=what)
 
     def set_ready(self) -> None:
         """The module has proved that it works."""
         with self._lock:
-            if self._ready:
+            if self._fields.get("ready"):
                 return
-            self._ready, self._waiting_for = True, ""
+            self._fields |= {"ready": True, "waiting_for": ""}
         self.changed.set()
 
     def set_error(self, error: RoboNeuronError) -> None:
         """Remember the newest failure; the same failure again is counted, not announced."""
         with self._lock:
-            same = self._error is not None and str(self._error) == str(error)
-            self._error, self._error_count = error, self._error_count + 1
+            before = self._fields.copy()
+            self._fields |= {"error_code": error.code, "error": error.message, "error_hint": error.hint}
+            same = before == self._fields
+            self._fields["error_count"] += 1
         if not same:
             self.changed.set()
 
@@ -157,9 +150,9 @@ class ModuleStatus:
     def clear_error(self) -> None:
         """The module works again."""
         with self._lock:
-            if self._error is None:
+            if not self._fields.get("error_code"):
                 return
-            self._error = None
+            self._fields |= {"error_code": "", "error": "", "error_hint": ""}
         self.changed.set()
 
     def set(self, **fields: str | float | int | bool) -> None:
@@ -180,7 +173,7 @@ class ModuleStatus:
     def tick_work(self, worker: str, limit_s: float) -> None:
         """A thread gets on; it is stalled when it does not say so again within `limit_s`."""
         with self._lock:
-            self._work[worker] = (self.clock(), limit_s)
+            self._work[worker] = (time.monotonic(), limit_s)
 
     def end_work(self, worker: str) -> None:
         """A thread has ended."""
@@ -189,24 +182,17 @@ class ModuleStatus:
 
     def tick_loop(self) -> None:
         """The executor turned."""
-        self._loop_s = self.clock()
+        self._loop_s = time.monotonic()
 
     def report(self) -> StatusReport:
         """Everything, as it is now."""
-        now_s = self.clock()
+        now_s = time.monotonic()
         dropped = self.dropped.items()
         latency = self.latency.median_and_p99() or (None, None)
         age_s = self.output.age_s()
         with self._lock:
             slowest = max(self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None)
             return StatusReport(
-                state=self._state,
-                ready=self._ready,
-                waiting_for=self._waiting_for,
-                error_code=self._error.code if self._error else "",
-                error=self._error.message if self._error else "",
-                error_hint=self._error.hint if self._error else "",
-                error_count=self._error_count,
                 uptime_s=round(now_s - self._started_s, 1),
                 loop_age_s=round(now_s - self._loop_s, 3),
                 work_age_s=None if slowest is None else round(now_s - slowest[0], 3),

@@ -63,12 +63,6 @@ class Worker:
         return not thread.is_alive()
 
     def _run(self, stop: threading.Event) -> None:
-        try:
-            self._repeat(stop)
-        finally:
-            self._status.end_work(self._name)
-
-    def _repeat(self, stop: threading.Event) -> None:
         while not stop.is_set():
             self.progress()
             try:
@@ -81,3 +75,4 @@ class Worker:
             else:
                 continue
             stop.wait(_RETRY_S)
+        self._status.end_work(self._name)

@@ -4,46 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 from roboneuron.ros.qos import NEWEST, requested_qos
 
 M = TypeVar("M")
 _LOOK_AGAIN_S = 0.25
 """How soon a subscription follows publishers that came with another reliability."""
-
-
-class _FollowingSubscription:
-    """A subscription that is as reliable as the topic's publishers are; used on the executor's thread."""
-
-    def __init__(self, node: Node, topic: str, message_type: type, deliver: Callable[[Any], None]) -> None:
-        self._node = node
-        self._topic = topic
-        self._message_type = message_type
-        self._deliver = deliver
-        self._qos = self._wanted()
-        self._subscription = self._create()
-        self._timer = node.create_timer(_LOOK_AGAIN_S, self._look)
-
-    def destroy(self) -> None:
-        self._node.destroy_timer(self._timer)
-        self._node.destroy_subscription(self._subscription)
-
-    def _create(self) -> object:
-        return self._node.create_subscription(self._message_type, self._topic, self._deliver, self._qos)
-
-    def _wanted(self) -> QoSProfile:
-        return requested_qos(self._node.get_publishers_info_by_topic(self._topic), 1, latched=False)
-
-    def _look(self) -> None:
-        wanted = self._wanted()
-        if wanted != self._qos:
-            self._qos = wanted
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = self._create()
 
 
 class NodeTopics:
@@ -68,10 +39,28 @@ class NodeTopics:
                 callback(message)
 
         if best_effort:
-            self._made.callback(_FollowingSubscription(self._node, topic, message_type, deliver).destroy)
+            self._follow(topic, message_type, deliver)
         else:
             subscription = self._node.create_subscription(message_type, topic, deliver, NEWEST)
             self._made.callback(self._node.destroy_subscription, subscription)
+
+    def _follow(self, topic: str, message_type: type[M], deliver: Callable[[M], None]) -> None:
+        """Subscribe as reliably as the topic's publishers are, now and later."""
+        node = self._node
+        qos: QoSProfile | None = None
+        subscription: Subscription | None = None
+
+        def look() -> None:
+            nonlocal qos, subscription
+            wanted = requested_qos(node.get_publishers_info_by_topic(topic), 1, latched=False)
+            if wanted != qos:
+                if subscription is not None:
+                    node.destroy_subscription(subscription)
+                qos, subscription = wanted, node.create_subscription(message_type, topic, deliver, wanted)
+
+        look()
+        self._made.callback(lambda: node.destroy_subscription(subscription))
+        self._made.callback(node.destroy_timer, node.create_timer(_LOOK_AGAIN_S, look))
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """See `Topics.advertise`."""

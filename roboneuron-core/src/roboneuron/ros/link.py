@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -20,6 +21,8 @@ from roboneuron.errors import InternalError
 log = logging.getLogger(__name__)
 M = TypeVar("M")
 T = TypeVar("T")
+UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
+"""What publishing raises when the context is closed."""
 _TASK_TIMEOUT_S = 10.0
 
 

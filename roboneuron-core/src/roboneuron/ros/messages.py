@@ -184,12 +184,17 @@ def to_joint_trajectory(command: JointCommand) -> JointTrajectory:
     return JointTrajectory(joint_names=list(command.names), points=[point])
 
 
-def commands_from_trajectory(message: JointTrajectory) -> list[JointCommand]:
-    """trajectory_msgs/JointTrajectory -> one command per point; `duration_s` is the time since the point before.
+def commands_from_message(message: JointTrajectory | JointState) -> list[JointCommand]:
+    """One command per point of a trajectory; `duration_s` is the time since the point before.
+
+    Positions without times (a JointState) are one command, to be reached in 0.1 s.
 
     Raises:
         InvalidInputError: no points, sizes that do not match, non-finite positions, or times that do not increase.
     """
+    if isinstance(message, JointState):
+        joints = joints_from_message(message)
+        return [JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)]
     names = tuple(message.joint_names)
     if not message.points or not names:
         raise InvalidInputError("A joint trajectory has no points or no joint names.")
@@ -207,16 +212,3 @@ def commands_from_trajectory(message: JointTrajectory) -> list[JointCommand]:
         commands.append(JointCommand(names=names, position=position, duration_s=time_s - elapsed_s))
         elapsed_s = time_s
     return commands
-
-
-def commands_from_message(message: JointTrajectory | JointState) -> list[JointCommand]:
-    """As `commands_from_trajectory`; positions without times (a JointState) are one command, to be reached in 0.1 s."""
-    if isinstance(message, JointTrajectory):
-        return commands_from_trajectory(message)
-    joints = joints_from_message(message)
-    return [JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)]
-
-
-def to_joint_command_state(command: JointCommand, stamp_ns: int) -> JointState:
-    """JointCommand -> sensor_msgs/JointState, for drivers that execute positions."""
-    return to_joint_state(JointSample(names=command.names, position=command.position, stamp_ns=stamp_ns))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
@@ -27,27 +26,6 @@ that keeps none, such as `ros2 topic pub`."""
 
 STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""
-_DEPTH = 10
-
-
-def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
-    """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
-
-    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
-    """
-    profile = _reliable(_DEPTH)
-    asked = [info.qos_profile for info in subscriptions]
-    if any(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in asked):
-        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-    deadlines = [qos.deadline.nanoseconds for qos in asked if qos.deadline.nanoseconds > 0]
-    if deadlines:
-        profile.deadline = Duration(nanoseconds=min(deadlines))
-    if any(qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC for qos in asked):
-        profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
-    leases = [q.liveliness_lease_duration.nanoseconds for q in asked if q.liveliness_lease_duration.nanoseconds > 0]
-    if leases:
-        profile.liveliness_lease_duration = Duration(nanoseconds=min(leases))
-    return profile
 
 
 def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:
@@ -60,14 +38,4 @@ def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def qos_key(profile: QoSProfile) -> tuple[object, ...]:
-    """What has to be the same for a publisher to be kept."""
-    return (
-        profile.durability,
-        profile.deadline.nanoseconds,
-        profile.liveliness,
-        profile.liveliness_lease_duration.nanoseconds,
     )

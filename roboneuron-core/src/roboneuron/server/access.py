@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from roboneuron.errors import RefusedError
-from roboneuron.gate.request import ADMIN, OPERATOR, VIEWER, has_role
+from roboneuron.gate.roles import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.server.tool import CallContext, Tool
 
 HOLDER_KEY = "roboneuron.holder"

@@ -17,7 +17,6 @@ from anyio import to_thread
 
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.gate import Gate
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
@@ -25,11 +24,6 @@ from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
 from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.motion.allow_list import AllowList
-from roboneuron.server.motion.arbiter import MotionArbiter
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.gate import MotionGate
-from roboneuron.server.motion.traffic import Traffic
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, status_tool
@@ -107,11 +101,6 @@ class Application:
         config: of the robot.
         plugins, supervisor: others than usual.
         attached: clients come to `server`; not so for one of several robots.
-
-    Attributes:
-        gate: what everything passes that moves a robot beside the closed loop; `host.gate` is what features get of it.
-        arbiter: who moves which robot.
-        allow_list: what agents may use.
     """
 
     resources: Resources
@@ -145,11 +134,6 @@ class Application:
         self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
         self.events.health.listen(self._diagnostics.publish)
         self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
-        stop, server = self.loop.emergency_stop, config.server
-        self.gate = Gate((), latch=stop.file, audit=stop.audit, clock=time.monotonic, dry_run=server.dry_run)
-        self.arbiter = MotionArbiter(self.gate, self._policy)
-        self.allow_list = AllowList(self.gate, lambda: self.loop.config, self.plugins.current)
-        traffic = Traffic(lambda: self.supervisor.link)
         self.tools = ToolRegistry(
             [status_tool(self.loop, self.started_s), *closed_loop_tools(self.loop), *emergency_tools(self.loop)],
             most_calls=config.server.max_concurrent_calls,
@@ -161,7 +145,6 @@ class Application:
         self.host = Host(
             loop=self.loop,
             supervisor=self.supervisor,
-            gate=MotionGate(self.gate, self.arbiter, traffic, self.allow_list, server.max_duration_s),
             audit=self.loop.emergency_stop.audit,
             server=self.server,
             features=self.features,
@@ -171,9 +154,9 @@ class Application:
             check_resource=lambda uri: self.resources.check(uri),
             end_motion=self.end_motion,
         )
-        self.events.change.listen(self._on_module)
         offered = self.features.offer(self.host, self.tools)
-        self.allow_list.refresh()
+        with suppress(StateError):  # without a gate nothing is sent for agents; with two the server does not start
+            self.host.gate  # noqa: B018
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
@@ -193,19 +176,27 @@ class Application:
         press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
 
     def close(self) -> None:
-        """Stop all motion, modules and threads; idempotent. Modules first: a feature that hangs moves no robot."""
+        """Stop all motion, modules and threads; idempotent. What features move first, then modules, then features."""
         self._watch.close()
-        self.end_direct_motion()
+        if not self.end_direct_motion("The server is shutting down.", _MOTION_S):
+            log.error("A motion did not end within %g s.", _MOTION_S)
+        self.host.audit.close()
         self.supervisor.stop_all(LEAVE_S)
         self.features.close()
         self.supervisor.close()
         self.events.end.tell()
 
-    def end_direct_motion(self) -> None:
-        """End every motion beside the closed loop with its stop message; the audit is closed; idempotent."""
-        if not self.arbiter.end_all("The server is shutting down.", _MOTION_S):
-            log.error("A motion did not end within %g s.", _MOTION_S)
-        self.gate.audit.close()
+    def end_direct_motion(self, reason: str, timeout_s: float) -> bool:
+        """End all that features move, beside the closed loop; whether it has ended in time. Idempotent."""
+        deadline_s = time.monotonic() + timeout_s
+        ended = True
+        for name, feature in self.features.loaded.items():
+            try:
+                ended &= feature.end_motion(reason, max(0.0, deadline_s - time.monotonic()))
+            except Exception:  # the border to a plugin's own code; the others end theirs
+                log.exception("The feature %r could not end its motions.", name)
+                ended = False
+        return ended
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
@@ -235,23 +226,6 @@ class Application:
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
         """Nobody looks after the robot any more: no policy, no direct motion."""
-        self.arbiter.end_all(reason, timeout_s)
+        self.end_direct_motion(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
-
-    def _policy(self, exposed: Exposed) -> str:
-        """Which policy moves the robot now, as a sentence; empty when none does."""
-        view = self.supervisor.view("inference")
-        if view.phase not in ("starting", "running") or view.choice is None:
-            return ""
-        if view.choice.settings.config.namespace != exposed.namespace:
-            return ""
-        return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
-
-    def _on_module(self, kind: str) -> None:
-        """Another robot has other interfaces."""
-        if kind == "robot":
-            try:
-                self.allow_list.refresh()
-            except RoboNeuronError as error:
-                log.error("What the robot offers cannot be exposed: %s", error)

@@ -108,8 +108,8 @@ class EmergencyStop:
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
+        from roboneuron.ros.link import UNSENT
         from roboneuron.ros.qos import LATCHED, STOP_REQUESTS
-        from roboneuron.ros.writer import UNSENT
 
         topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
 

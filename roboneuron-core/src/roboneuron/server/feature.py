@@ -61,6 +61,16 @@ class Feature(Generic[OptionsT]):
         """Whether it tells clients apart by what they alone know, such as a token."""
         return False
 
+    @property
+    def gate(self) -> object | None:
+        """What it lends the other features as `Host.gate`; None for all but the one that sends for them."""
+        return None
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it moves a robot now, beside the closed loop."""
+        return False
+
     def check(self, config: Config) -> None:
         """Check what the options alone do not tell (files, environment); for `config check` and before `listen`.
 
@@ -75,6 +85,17 @@ class Feature(Generic[OptionsT]):
     def resources(self, host: Host) -> Sequence[Resource]:
         """Resources for the agent. Called once, after `tools`."""
         return ()
+
+    def complete(self, host: Host) -> None:
+        """Take in what the other features have added. Called once, after the `tools` of all of them.
+
+        Raises:
+            RoboNeuronError: nothing may be served, whether the configuration asks for this feature or not.
+        """
+
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        """End all that it moves, and say whether it ended in time; at the end of the server before modules stop."""
+        return True
 
     def attach(self, host: Host) -> None:
         """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions, questions.
@@ -128,6 +149,11 @@ class Features:
         return self._loaded.get(name)
 
     @property
+    def loaded(self) -> Mapping[str, Feature[Any]]:
+        """The loaded features by name, those that others need first."""
+        return dict(self._loaded)
+
+    @property
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
         return tuple(reference for spec, _ in self._all() if (reference := spec.on_join) is not None)
@@ -158,6 +184,8 @@ class Features:
             self._attempt(spec, "asked for its tools", add)
             if spec.name in self.failed:
                 tools.replace_derived(spec.name, ())
+        for spec, feature in self._all():
+            self._attempt(spec, "completed", partial(feature.complete, host), must_work=True)
         return resources
 
     def attach(self, host: Host) -> None:
@@ -194,10 +222,12 @@ class Features:
             raise PluginError(f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a Feature.")
         self._loaded[spec.name] = feature
 
-    def _attempt(self, spec: FeatureSpec, what: str, work: Callable[[], object]) -> None:
+    def _attempt(self, spec: FeatureSpec, what: str, work: Callable[[], object], *, must_work: bool = False) -> None:
         try:
             work()
         except Exception as error:  # the border to a plugin's own code
+            if must_work and isinstance(error, RoboNeuronError):
+                raise
             if not isinstance(error, RoboNeuronError):
                 log.exception("The feature %r failed.", spec.name)
                 reason = f"{type(error).__name__}: {error}"

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from roboneuron.errors import StateError
+from roboneuron.errors import ConfigurationError, StateError
+from roboneuron.plugins.availability import install_command, package_of
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
-    from roboneuron.server.motion.gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
     from roboneuron.supervisor.supervisor import Supervisor
@@ -48,7 +48,6 @@ class Host:
     Attributes:
         loop: the closed loop: start, steer and stop modules; read what they report.
         supervisor: the processes of the modules.
-        gate: in front of everything that moves a robot: sends what it allows, and lends no publisher.
         audit: the audit log.
         server: the MCP server that every transport serves.
         features: all features of this server.
@@ -62,7 +61,6 @@ class Host:
 
     loop: ClosedLoop
     supervisor: Supervisor
-    gate: MotionGate
     audit: AuditLog
     server: AnnouncingServer
     features: Features
@@ -81,6 +79,34 @@ class Host:
     def registry(self) -> Registry:
         """The installed plugins."""
         return self.loop.plugins.current()
+
+    @property
+    def gate(self) -> object:
+        """In front of everything that moves a robot beside the closed loop: sends what it allows, lends no publisher.
+
+        One installed feature lends it (`Feature.gate`), and its package has a function that gives it its type.
+
+        Raises:
+            StateError: none does: nothing can be sent for an agent.
+            ConfigurationError: two do.
+        """
+        gates = {name: gate for name, feature in self.features.loaded.items() if (gate := feature.gate) is not None}
+        if not gates:
+            package = package_of("feature", "direct-path")
+            hint = f"Run: {install_command(package)}" if package else ""
+            raise StateError("No feature sends messages for others here.", hint=hint)
+        if len(gates) > 1:
+            raise ConfigurationError(
+                f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a server has one.",
+                hint="Name the distribution of one of them in disabled_plugins.",
+            )
+        return next(iter(gates.values()))
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a policy runs, or a call moves something."""
+        is_policy = self.supervisor.view("inference").phase != "stopped"
+        return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
 
     @property
     def identifies_clients(self) -> bool:

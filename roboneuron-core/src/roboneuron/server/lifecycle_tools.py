@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.errors import RefusedError, UnsafeError
-from roboneuron.gate.request import ADMIN, VIEWER
+from roboneuron.gate.roles import ADMIN, VIEWER
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
 from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop

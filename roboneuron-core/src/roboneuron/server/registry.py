@@ -15,7 +15,7 @@ from typing import Any
 from mcp import types
 
 from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
-from roboneuron.gate.request import ADMIN
+from roboneuron.gate.roles import ADMIN
 from roboneuron.server.access import check_role, may_call
 from roboneuron.server.schema import listed_output
 from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallError

@@ -1,25 +1,29 @@
-"""From a spawned process to one that has proved that it works."""
+"""From a choice to a process that has proved that it works."""
 
 from __future__ import annotations
 
+import logging
 import os
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
-from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.config import ServerConfig
+from roboneuron.errors import ConfigurationError, InternalError, NotReadyError, RoboNeuronError
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
+from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.changes import Lasting
-from roboneuron.supervisor.health import Report, StatusBoard
-from roboneuron.supervisor.lifecycle import LifecycleClient
-from roboneuron.supervisor.process import ModuleProcess
-from roboneuron.supervisor.slot import Slot
+from roboneuron.supervisor.health import Report
+from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.lifecycle import NodeClient
+from roboneuron.supervisor.process import ModuleProcess, end_processes, spawn
+from roboneuron.supervisor.slot import Choice, Phase, Slot
 
 if TYPE_CHECKING:
-    from roboneuron.ros.link import RosLink
+    from roboneuron.supervisor.supervisor import Supervisor
 
+log = logging.getLogger(__name__)
 _REASON_S = 1.0
 """The reason of a refused transition is published just before the answer; it may arrive a little later."""
 _PROGRESS_S = 5.0
@@ -30,44 +34,89 @@ _PERSISTENT_S = 1.5
 
 
 class Bringup:
-    """One start of one module; used once, on the thread of the caller."""
+    """One start of one module, into a slot that was claimed for it; used once, on the thread of the caller."""
 
-    def __init__(
-        self,
-        slot: Slot,
-        process: ModuleProcess,
-        settings: ModuleSettings,
-        link: RosLink,
-        board: StatusBoard,
-        on_stage: Callable[[str], None],
-        absent: Callable[[], Sequence[ModuleKind]],
-    ) -> None:
+    _process: ModuleProcess
+
+    def __init__(self, supervisor: Supervisor, slot: Slot, choice: Choice, on_stage: Stage) -> None:
+        self._supervisor = supervisor
         self._slot = slot
-        self._absent = absent
-        self._process = process
-        self._name = settings.status_name
-        self._timeout_s = settings.config.start_timeout_s(settings.kind)
-        self._board = board
-        self._changes = board.changes
+        self._plan = choice.plan
+        self._settings = choice.settings
+        self._name = choice.settings.status_name
+        self._timeout_s = choice.settings.config.start_timeout_s(slot.kind)
+        self._board = supervisor.board
+        self._changes = supervisor.changes
         self._on_stage = on_stage
         self._doing = "starting"
         self._since_s = self._told_s = time.monotonic()
-        self._client = LifecycleClient(link, f"/{self._name}", board.changes, self._check, process.announce)
 
-    def run(self, deadline_s: float) -> None:
-        """Configure, activate, wait for readiness.
-
-        Args:
-            deadline_s: monotonic time at which the start has failed.
+    def run(self, python: str | None) -> None:
+        """Spawn, configure, activate and wait for readiness; a failure ends the process.
 
         Raises:
             RoboNeuronError: as `Supervisor.start`.
         """
+        slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
+        phase: Phase = "stopped"
+        try:
+            self._process = slot.process = self._spawn(python)
+            self._prove(deadline_s)
+            phase = "running"
+        finally:
+            try:
+                if phase != "running" and slot.process is not None:
+                    end_processes([slot.process], self._settings.config.supervisor.stop_timeout_s)
+                    self._board.forget(self._name, slot.process.pid)
+            finally:
+                slot.settle(phase)  # also when it survives SIGKILL, else nobody could start one again
+            if slot.process is not None and slot.process.exit_code is not None:
+                self._on_exit(slot.process)  # it died between its proof and here
+            self._supervisor.on_change(slot.kind)
+
+    def _spawn(self, python: str | None) -> ModuleProcess:
+        settings, supervisor = self._settings, self._supervisor
+        command = supervisor.command(python)
+        # A plugin has no use for the server's section.
+        told = settings.model_copy(update={"config": settings.config.model_copy(update={"server": ServerConfig()})})
+        check_state_directory(supervisor.log_directory)
+        try:
+            spawning = supervisor.spawner.submit(
+                spawn,
+                settings.node_name,
+                command,
+                module_environment(python, next(supervisor.connection.starts), supervisor.secret_variables),
+                told.model_dump_json(),
+                supervisor.log_directory / f"{settings.node_name}.log",
+                supervisor.process_events,
+            )
+            process = spawning.result()
+        except OSError as error:
+            raise ConfigurationError(
+                f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
+                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
+            ) from error
+        supervisor.heartbeat.start()
+        log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
+        self._board.watch(self._name, process.pid)
+        process.reap(self._on_exit)
+        return process
+
+    def _on_exit(self, process: ModuleProcess) -> None:
+        if self._slot.note_exit(process):
+            log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
+            self._board.forget(self._name, process.pid)
+            self._supervisor.on_change(self._slot.kind)
+
+    def _prove(self, deadline_s: float) -> None:
+        """Configure, activate, wait for readiness until that monotonic time."""
         self._stage("starting")
+        link, announce = self._supervisor.link, self._process.announce
+        client = self._client = NodeClient(link, self._changes, f"/{self._name}", announce, self._check)
         self._check_alone()
         if self._changes.wait_for(self._report, _left(deadline_s), self._check) is None:
             raise self._too_late("its first status on /diagnostics")
-        if not self._client.wait_until_served(_left(deadline_s)):
+        if not client.wait_until_served(_left(deadline_s)):
             raise self._too_late("its lifecycle services")
         self._check_alone()
         self._transition("configure", deadline_s)
@@ -127,6 +176,15 @@ class Bringup:
         if not self._changes.wait_for(ready, _left(deadline_s)):
             report = self._report()
             raise self._too_late(report.waiting_for if report and report.waiting_for else "its first output")
+
+    def _absent(self) -> list[ModuleKind]:
+        """Modules that this one takes inputs from and that are neither running nor being started."""
+        kind, plan = self._slot.kind, self._plan
+        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {"control": ("robot",), "inference": ("perception",)}
+        needed = sources.get(kind, ())
+        if kind == "inference" and plan is not None and plan.backend is not None and plan.backend.needs_state:
+            needed = ("robot", "perception", "control")
+        return [other for other in needed if self._supervisor.slot(other).phase not in ("starting", "running")]
 
     def _check_alone(self) -> None:
         """Two nodes of one name would both obey each lifecycle request: never drive somebody else's robot.

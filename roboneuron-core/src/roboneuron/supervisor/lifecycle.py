@@ -22,20 +22,27 @@ _LOST_S = 1.0
 """A request that is not answered by then, though the node answers others and is where it was, did not reach it."""
 
 
-class LifecycleClient:
-    """Drives one managed node.
+class NodeClient:
+    """Drives one managed node, and sets its parameters.
 
-    `check` is called while waiting and raises to give up (the process died, the start was cancelled). `announce` tells
-    the node's process the digest of a request before it is sent.
+    Args:
+        node: its absolute name.
+        announce: tells the node's process the digest of a request before it is sent.
+        check: called while waiting for a transition; raises to give up (the process died, the start was cancelled).
     """
 
     def __init__(
-        self, link: RosLink, node: str, changes: Changes, check: Callable[[], None], announce: Callable[[bytes], None]
+        self,
+        link: RosLink,
+        changes: Changes,
+        node: str,
+        announce: Callable[[bytes], None],
+        check: Callable[[], None] = lambda: None,
     ) -> None:
         self._announce = announce
         self._link = link
-        self._node = node
         self._changes = changes
+        self._node = node
         self._check = check
 
     def wait_until_served(self, timeout_s: float) -> bool:
@@ -104,35 +111,8 @@ class LifecycleClient:
                 call.abandon()
         return made
 
-    def _name(self, service: str) -> str:
-        return f"{self._node}/{service}"
-
-
-def _made(calls: Sequence[Call]) -> bool | None:
-    """Whether the node made the transition; None before the first answer.
-
-    Answers come in the order in which the node follows requests: a refusal comes first only when none was followed.
-    """
-    answers = [bool(call.response.success) for call in calls if call.done]
-    return any(answers) if answers else None
-
-
-class ParameterClient:
-    """Sets parameters of one node.
-
-    Args:
-        node: its absolute name.
-        announce: tells the node's process the digest of a request before it is sent.
-    """
-
-    def __init__(self, link: RosLink, changes: Changes, node: str, announce: Callable[[bytes], None]) -> None:
-        self._announce = announce
-        self._link = link
-        self._changes = changes
-        self._node = node
-
     def find(self, timeout_s: float, check: Callable[[], object] = lambda: None) -> None:
-        """Wait until its service is known.
+        """Wait until its parameter service is known.
 
         Args:
             check: called while waiting; raises to give up.
@@ -142,19 +122,19 @@ class ParameterClient:
         """
         from rcl_interfaces.srv import SetParameters  # heavy
 
-        name = f"{self._node}/set_parameters"
+        name = self._name("set_parameters")
         if not self._changes.wait_for(lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check):
             raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
 
     def send(self, values: Mapping[str, str | int]) -> Call:
-        """Request the change without waiting for the answer."""
+        """Request a change of parameters without waiting for the answer."""
         from rcl_interfaces.srv import SetParameters  # heavy
 
         from roboneuron.modules.requests import digest_of_parameters, parameters_request  # heavy
 
         self._announce(digest_of_parameters(values))
         request = parameters_request(values)
-        return self._link.call(SetParameters, f"{self._node}/set_parameters", request, self._changes.notify)
+        return self._link.call(SetParameters, self._name("set_parameters"), request, self._changes.notify)
 
     def finish(self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
         """Wait for the answer; returns why the node refused, empty when it took the values.
@@ -178,3 +158,15 @@ class ParameterClient:
         """Find, send and finish."""
         self.find(timeout_s, check)
         return self.finish(self.send(values), timeout_s, check)
+
+    def _name(self, service: str) -> str:
+        return f"{self._node}/{service}"
+
+
+def _made(calls: Sequence[Call]) -> bool | None:
+    """Whether the node made the transition; None before the first answer.
+
+    Answers come in the order in which the node follows requests: a refusal comes first only when none was followed.
+    """
+    answers = [bool(call.response.success) for call in calls if call.done]
+    return any(answers) if answers else None

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Callable, Mapping
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.config import Config
-from roboneuron.errors import StateError
+from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
-from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.health import ModuleView, Report, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, Launcher, Stage, module_command
-from roboneuron.supervisor.lifecycle import ParameterClient
-from roboneuron.supervisor.process import KILL_S, ModuleProcess
+from roboneuron.supervisor.bringup import Bringup
+from roboneuron.supervisor.changes import Changes, Periodic
+from roboneuron.supervisor.health import ModuleView, Report, StatusBoard, Stopped
+from roboneuron.supervisor.launching import Command, Connect, Connection, Stage, module_command
+from roboneuron.supervisor.lifecycle import NodeClient
+from roboneuron.supervisor.process import KILL_S, ModuleProcess, ProcessEvents, end_processes
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
+log = logging.getLogger(__name__)
+DEACTIVATE_S = 2.0
+_BEAT_S = 0.2
+"""A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody could stop the arm,
+misses these signs of life on stdin; control holds then."""
 LEAVE_S = 1.5
 """When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
 
@@ -35,14 +45,18 @@ class Supervisor:
         state_directory: logs go to its `log` folder, and modules are told it.
         command: how to start a module under a given interpreter.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by itself.
-        connect: as `Launcher`.
+        connect: makes the server's node from what receives /diagnostics and the folder for its logs.
 
     Attributes:
+        log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
         process_events: what happens to module processes, for listeners.
         changes: told of all that happens to modules; its lock guards `slots`.
         slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
         on_join: functions of features that modules call with their node, as "module:attribute"; see `ModuleHost`.
         secret_variables: environment variables that modules do not get.
+        board: what the modules report.
+        connection: the server's node.
+        command, spawner, heartbeat: for `Bringup`; the thread that spawns lives as long as the server.
     """
 
     def __init__(
@@ -56,10 +70,14 @@ class Supervisor:
         self.state_directory = state_directory
         self.changes = Changes()
         self.on_join: tuple[str, ...] = ()
-        self._launcher = Launcher(state_directory, self.changes, command, on_change, self._processes, connect)
-        self.log_directory = self._launcher.log_directory
-        self.process_events = self._launcher.process_events
-        self.secret_variables = self._launcher.secret_variables
+        self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        self.process_events = ProcessEvents()
+        self.secret_variables: set[str] = set()
+        self.board = StatusBoard(self.changes)
+        self.connection = connect(self.board.receive, self.log_directory)
+        self.command = command
+        self.spawner = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
+        self.heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
         self.on_change = on_change
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
         self._order = count(1)
@@ -68,11 +86,11 @@ class Supervisor:
     @property
     def link(self) -> RosLink:
         """The ROS node of the control plane; opened on first use."""
-        return self._launcher.connection.link()
+        return self.connection.link()
 
-    def parameters(self, node: str, process: ModuleProcess) -> ParameterClient:
+    def parameters(self, node: str, process: ModuleProcess) -> NodeClient:
         """The parameters of a module: the absolute name of its node, and its process."""
-        return ParameterClient(self.link, self.changes, node, process.announce)
+        return NodeClient(self.link, self.changes, node, process.announce)
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.
@@ -81,7 +99,7 @@ class Supervisor:
             ConfigurationError: the state directory cannot be written.
         """
         check_state_directory(self.state_directory)
-        self._launcher.connection.begin()
+        self.connection.begin()
 
     def start(
         self,
@@ -124,8 +142,9 @@ class Supervisor:
                 shadow=beside is not None,
                 on_join=self.on_join,
             )
-            slot.begin_start(Choice(settings=settings, names=names or {}, plan=plan), next(self._order))
-        self._launcher.bring_up(slot, settings, python, on_stage, lambda: self._absent(kind, plan))
+            choice = Choice(settings=settings, names=names or {}, plan=plan)
+            slot.begin_start(choice, next(self._order))
+        Bringup(self, slot, choice, on_stage).run(python)
         return self.view(kind)
 
     def slot(self, kind: ModuleKind) -> Slot:
@@ -138,7 +157,7 @@ class Supervisor:
         process, choice = slot.process, slot.choice
         if process is None or choice is None:
             return None
-        return self._launcher.board.newest(choice.settings.status_name, process.pid)
+        return self.board.newest(choice.settings.status_name, process.pid)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
@@ -162,7 +181,7 @@ class Supervisor:
         Raises:
             StateError: it is not running.
         """
-        return self._launcher.finish([slot.begin_stop()])[0]
+        return self._finish([slot.begin_stop()])[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one."""
@@ -182,7 +201,7 @@ class Supervisor:
         for slot in sorted(slots, key=lambda s: -s.order):
             with suppress(StateError):
                 claims.append(slot.begin_stop())
-        return self._launcher.finish(claims, within_s)
+        return self._finish(claims, within_s)
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now."""
@@ -222,15 +241,53 @@ class Supervisor:
         with self.changes.lock:
             self._closed = True
         self.stop_all(LEAVE_S)
-        self._launcher.close()
+        self.connection.close()
+        self.heartbeat.close()
+        self.spawner.shutdown()  # a process that is still there gets its death signal
 
-    def _absent(self, kind: ModuleKind, plan: Plan | None) -> list[ModuleKind]:
-        """Modules that one of `kind` takes inputs from and that are neither running nor being started."""
-        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {"control": ("robot",), "inference": ("perception",)}
-        needed = sources.get(kind, ())
-        if kind == "inference" and plan is not None and plan.backend is not None and plan.backend.needs_state:
-            needed = ("robot", "perception", "control")
-        return [other for other in needed if self.slot(other).phase not in ("starting", "running")]
+    def _finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
+        """Silence all in order, then end them together."""
+        started_s = time.monotonic()
+        share_s = within_s / (len(claims) + 1)
+        for claim in claims:
+            self._deactivate(claim, min(share_s, DEACTIVATE_S))
+        timeout_s = max((claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0)
+        left_s = max(share_s, started_s + within_s - time.monotonic())
+        killed = end_processes([claim.process for claim in claims], min(timeout_s, left_s))
+        return [self._settle(claim, claim.process.pid in killed, started_s) for claim in claims]
+
+    def _deactivate(self, claim: Claim, most_s: float) -> None:
+        """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
+        slot, process, settings = claim
+        limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
+        try:
+            node, check = f"/{settings.status_name}", lambda: slot.check_alive("being deactivated")
+            client = NodeClient(self.link, self.changes, node, process.announce, check)
+            if client.transition("deactivate", limit_s) is None:
+                log.warning("%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s)
+        except RoboNeuronError as error:
+            log.warning("Deactivating %s: %s", settings.node_name, error)
+
+    def _settle(self, claim: Claim, killed: bool, started_s: float) -> Stopped:
+        slot, process, settings = claim
+        report = self.board.newest(settings.status_name, process.pid)
+        self.board.forget(settings.status_name, process.pid)
+        slot.settle("stopped")
+        log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
+        stopped = Stopped(
+            kind=slot.kind,
+            pid=process.pid,
+            exit_code=process.exit_code if process.exit_code is not None else -9,
+            killed=killed,
+            took_s=time.monotonic() - started_s,
+            report=report,
+        )
+        self.on_change(slot.kind)
+        return stopped
+
+    def _beat(self) -> None:
+        for process in self._processes():
+            process.beat()
 
     def _all(self, *kinds: ModuleKind) -> list[Slot]:
         with self.changes.lock:

@@ -42,7 +42,7 @@ _JOIN_S = 5.0
 
 
 class FciDriver:
-    """Follows the protocols `RobotDriver` and `RecoverableDriver`; every method may be called from any thread."""
+    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called from any thread."""
 
     def __init__(self, config: FciDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
         """Remember what to connect to. Raises ConfigurationError without a host or for another robot's profile."""

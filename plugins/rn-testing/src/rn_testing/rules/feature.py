@@ -18,6 +18,7 @@ from rn_testing.effects import check_released, running
 from rn_testing.fakes import fake_registry
 from rn_testing.lifecycle import PURE, check_pure_constructor
 from rn_testing.rule import Rule, require
+from rn_testing.rules.package import SENDER
 
 if TYPE_CHECKING:
     from mcp.types import Tool
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 _LEAVE_S = 5.0
-_FORBIDDEN = ("rclpy", "roboneuron.ros")
+_SENDER = SENDER.replace("-", "_")
+_FORBIDDEN = ("rclpy", "roboneuron.ros", f"{_SENDER}.writer", f"{_SENDER}.traffic")
 """What could publish without the gate."""
 
 
@@ -111,11 +113,12 @@ def _check_closes(case: FeatureCase) -> None:
 
 
 def _check_gate(case: FeatureCase) -> None:
-    for path in _sources(case.spec.target.partition(":")[0].partition(".")[0]):
+    package = case.spec.target.partition(":")[0].partition(".")[0]
+    for path in _sources(package) if package != _SENDER else ():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module:
-                names = [node.module]
+                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
             for name in names:
                 breach = any(name == word or name.startswith(f"{word}.") for word in _FORBIDDEN)
                 require(not breach, f"{path.name} imports {name}: what moves a robot goes through host.gate")

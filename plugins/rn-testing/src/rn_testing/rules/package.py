@@ -33,6 +33,10 @@ FOR_FEATURES = ("cli", "config", "gate", "log_files", "modules", "planning", "se
 """What packages with features or commands import besides."""
 FOR_COMMANDS = ("ros",)
 """What packages with commands import besides: a command joins the ROS graph by itself."""
+FOR_THE_SENDER = ("ros",)
+"""What the distribution of the direct path imports besides."""
+SENDER = "rn-direct-path"
+"""Distribution of the gate: the one feature that sends, since all others send through it."""
 CORE = "roboneuron-core"
 """Distribution that every plugin needs."""
 KIT = "rn-testing"
@@ -110,9 +114,10 @@ def _check_core(case: PackageCase) -> None:
     require(any(">" in line and "<" in line for line in plain), f"{plain[0]!r} has no lower or no upper bound")
 
 
-def importable(*, feature: bool, command: bool) -> tuple[str, ...]:
-    """Packages of the core that a plugin may import, by what it offers."""
-    return (*PUBLIC, *(FOR_FEATURES if feature or command else ()), *(FOR_COMMANDS if command else ()))
+def importable(*, feature: bool, command: bool, sender: bool = False) -> tuple[str, ...]:
+    """Packages of the core that a plugin may import, by what it offers and whether it is the direct path."""
+    packages = (*PUBLIC, *(FOR_FEATURES if feature or command else ()), *(FOR_COMMANDS if command else ()))
+    return (*packages, *(FOR_THE_SENDER if sender else ()))
 
 
 def is_public(name: str, packages: Collection[str]) -> bool:
@@ -128,6 +133,7 @@ def _check_direction(case: PackageCase) -> None:
     packages = importable(
         feature=any(isinstance(spec, FeatureSpec) for spec in specs),
         command=any(isinstance(spec, CommandSpec) for spec in specs),
+        sender=normalise(case.distribution) == SENDER,
     )
     for path in source_files(case):
         for name, line in imported_modules(path):

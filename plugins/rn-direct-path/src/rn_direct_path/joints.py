@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from rn_direct_path.fields import is_message, type_name_of
+from rn_direct_path.path_limits import Leg
+from rn_direct_path.speeds import Speeds, shortest_s
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
-from roboneuron.gate.fields import is_message, type_name_of
-from roboneuron.gate.motion.joint_space import SLACK, JointLimit, Speeds, shortest_s
-from roboneuron.gate.motion.path import Leg
+from roboneuron.gate.motion.joint_space import SLACK, JointLimit
 
 MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from rn_direct_path.fields import filled, load_type, walk_fields
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.gate.fields import filled, load_type, walk_fields
 
 
 def test_fields_are_found_at_every_depth_and_in_arrays() -> None:

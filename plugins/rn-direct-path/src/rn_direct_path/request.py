@@ -6,20 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from rn_direct_path.path_limits import PathLimiter
 from roboneuron.contract import Endpoint, JointSample, RobotProfile
-from roboneuron.gate.motion import MotionRules, PathLimiter
-
-VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
-ROLES = (VIEWER, OPERATOR, ADMIN)
-"""Roles from least to most: read; also move; also expose and reset. Each includes the ones before it."""
+from roboneuron.gate.motion import MotionRules
+from roboneuron.gate.roles import OPERATOR, VIEWER
 
 ROLE_BY_KIND = {"read": VIEWER, "publish": OPERATOR, "service": OPERATOR, "action": OPERATOR}
 """Least role by endpoint kind. Everything but reading may move the robot."""
-
-
-def has_role(role: str, least: str) -> bool:
-    """Whether `role` is at least `least`; an unknown role has no rights."""
-    return role in ROLES and ROLES.index(role) >= ROLES.index(least)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -54,7 +47,7 @@ class GateRequest:
 
     Attributes:
         who: which client, as the transport knows it.
-        role: one of ROLES.
+        role: one of `roboneuron.gate.ROLES`.
         tool: the tool's name.
         robot, endpoint: names in the allow list.
         messages: the encoded message, or every step of a sequence; empty for a read.

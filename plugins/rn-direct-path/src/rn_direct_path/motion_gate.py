@@ -8,20 +8,21 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from rn_direct_path import delivery
+from rn_direct_path.allow_list import AllowList
+from rn_direct_path.arbiter import Ending, Motion, MotionArbiter
+from rn_direct_path.delivery import Command, Sent
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.gate import Gate
+from rn_direct_path.request import GateRequest, Verdict
+from rn_direct_path.traffic import Traffic
 from roboneuron.errors import NotReadyError, RefusedError
-from roboneuron.gate import Gate, GateRequest, Verdict
-from roboneuron.server.motion import delivery
-from roboneuron.server.motion.allow_list import AllowList
-from roboneuron.server.motion.arbiter import Ending, Motion, MotionArbiter
-from roboneuron.server.motion.delivery import Command, Sent
-from roboneuron.server.motion.exposed import Exposed
-from roboneuron.server.motion.traffic import Traffic
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
+    from rn_direct_path.writer import TopicWriter
     from roboneuron.ros.link import Call
-    from roboneuron.ros.writer import TopicWriter
 
 _LOOK_S = 0.02
 _LATE_S = 0.25

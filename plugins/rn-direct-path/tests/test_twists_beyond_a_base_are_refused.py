@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from roboneuron.contract import TWIST_FIELDS, Endpoint, check_twist
+from rn_direct_path.twists import TWIST_FIELDS, check_twist
+from roboneuron.contract import Endpoint
 from roboneuron.errors import RefusedError
 
 CAR = Endpoint(

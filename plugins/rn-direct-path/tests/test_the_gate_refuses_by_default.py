@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rn_direct_path.fields import filled, load_type
+from rn_direct_path.limits import check_endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate import check_endpoint
-from roboneuron.gate.fields import filled, load_type
 
 FORWARD = {"linear": {"x": 0.2}}
 

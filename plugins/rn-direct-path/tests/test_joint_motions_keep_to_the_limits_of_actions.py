@@ -12,6 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rn_direct_path.gate import Gate
+from rn_direct_path.path_limits import Leg, PathLimiter
+from rn_direct_path.request import AllowedEndpoint
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     CollisionProfile,
@@ -24,8 +27,7 @@ from roboneuron.contract import (
     Workspace,
 )
 from roboneuron.errors import ConfigurationError, RefusedError, UnsafeError
-from roboneuron.gate import AllowedEndpoint, Gate
-from roboneuron.gate.motion import Leg, PathLimiter, collision_of, motion_rules
+from roboneuron.gate.motion import collision_of, motion_rules
 from roboneuron.gate.motion.path import levers_m
 
 PROFILE = RobotProfile(

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
+from rn_direct_path.exposed import Exposed
+from rn_direct_path.gate import Gate
 from roboneuron.errors import RefusedError, RoboNeuronError, StateError
-from roboneuron.gate import Gate
-from roboneuron.server.motion.exposed import Exposed
 
 POLL_S = 0.01
 """How often lasting motion looks at the latch; together with one publish it is well within 50 ms."""
@@ -135,6 +135,11 @@ class MotionArbiter:
         """Nobody waits for the next look at the latch."""
         for motion in list(self._moving.values()):
             motion.wake()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a call moves a robot now."""
+        return any(motion.exposed.moves for motion in list(self._moving.values()))
 
     def check_free(self, exposed: Exposed) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from rn_direct_path.path_limits import LimitError
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate.motion import LimitError
 
 
 @pytest.mark.parametrize(

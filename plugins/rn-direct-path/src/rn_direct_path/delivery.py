@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from opentelemetry import trace
 
+from rn_direct_path.arbiter import Ending, Motion, MotionEnd
+from rn_direct_path.exposed import ACTION_LABEL
+from rn_direct_path.gate import Gate
+from rn_direct_path.request import GateRequest, Verdict
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.gate import Gate, GateRequest, Verdict
-from roboneuron.server.motion.arbiter import Ending, Motion, MotionEnd
-from roboneuron.server.motion.exposed import ACTION_LABEL
 
 if TYPE_CHECKING:
-    from roboneuron.ros.writer import TopicWriter
+    from rn_direct_path.writer import TopicWriter
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _tracer = trace.get_tracer("roboneuron")

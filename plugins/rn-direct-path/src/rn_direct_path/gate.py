@@ -11,15 +11,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
+from rn_direct_path.joints import check_joints, joint_commands
+from rn_direct_path.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
+from rn_direct_path.path_limits import Leg, LimitError
+from rn_direct_path.rate import RateLimit
+from rn_direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp, GateRequest, Verdict
 from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch
-from roboneuron.gate.joints import check_joints, joint_commands
-from roboneuron.gate.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
-from roboneuron.gate.motion import Leg, LimitError
 from roboneuron.gate.motion.joint_space import joint_limits
-from roboneuron.gate.rate import RateLimit
-from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp, GateRequest, Verdict, has_role
+from roboneuron.gate.roles import has_role
 
 _Key = tuple[str, str]
 

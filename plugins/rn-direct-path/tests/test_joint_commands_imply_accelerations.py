@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rn_direct_path.speeds import Speeds, shortest_s
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
-from roboneuron.gate.motion.joint_space import Speeds, shortest_s
 
 A, FAST = 10.0, 100.0
 

@@ -7,16 +7,16 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from rn_direct_path.exposed import Exposed
 from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError
 from roboneuron.ros.topics import JOINT_STATES
-from roboneuron.server.motion.exposed import Exposed
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
+    from rn_direct_path.writer import NewestMessage, TopicWriter
     from roboneuron.ros.link import RosLink
-    from roboneuron.ros.writer import NewestMessage, TopicWriter
 
 JOINTS_AGE_S = 0.5
 """Older measurements are as good as none."""
@@ -45,7 +45,7 @@ class Traffic:
 
     def writer(self, exposed: Exposed) -> TopicWriter:
         """The writer of a topic."""
-        from roboneuron.ros.writer import TopicWriter  # heavy
+        from rn_direct_path.writer import TopicWriter  # heavy
 
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
@@ -106,7 +106,7 @@ class Traffic:
         link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy
 
-        from roboneuron.ros.writer import NewestMessage  # heavy
+        from rn_direct_path.writer import NewestMessage  # heavy
 
         with self._lock:
             if space not in self._joints:

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rn_direct_path.fields import filled, load_type
+from rn_direct_path.request import AllowedEndpoint, GateRequest
 from roboneuron.contract import Endpoint, JointSample, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.gate import AllowedEndpoint, GateRequest
-from roboneuron.gate.fields import filled, load_type
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, MODULE_KINDS
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES
 from roboneuron.server.tool import CallContext

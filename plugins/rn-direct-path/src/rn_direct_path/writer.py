@@ -4,25 +4,59 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from rclpy.exceptions import InvalidHandle
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.ros.qos import offered_qos, qos_key, requested_qos
+from roboneuron.ros.link import UNSENT
+from roboneuron.ros.qos import requested_qos
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
-
-RCLError = rclpy_implementation.RCLError
-UNSENT = (RCLError, InvalidHandle)
-"""What publishing raises when the context is closed."""
+_DEPTH = 10
 _POLL_S = 0.005
 _SETTLE_S = 0.03
 """After the first match: until the other side has matched too, a volatile message would be lost there."""
+
+
+def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
+    """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
+
+    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
+    """
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+    asked = [info.qos_profile for info in subscriptions]
+    if any(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in asked):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    deadlines = [qos.deadline.nanoseconds for qos in asked if qos.deadline.nanoseconds > 0]
+    if deadlines:
+        profile.deadline = Duration(nanoseconds=min(deadlines))
+    if any(qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC for qos in asked):
+        profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+    leases = [q.liveliness_lease_duration.nanoseconds for q in asked if q.liveliness_lease_duration.nanoseconds > 0]
+    if leases:
+        profile.liveliness_lease_duration = Duration(nanoseconds=min(leases))
+    return profile
+
+
+def qos_key(profile: QoSProfile) -> tuple[object, ...]:
+    """What has to be the same for a publisher to be kept."""
+    return (
+        profile.durability,
+        profile.deadline.nanoseconds,
+        profile.liveliness,
+        profile.liveliness_lease_duration.nanoseconds,
+    )
 
 
 class TopicWriter:

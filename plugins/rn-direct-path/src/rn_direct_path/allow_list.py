@@ -1,4 +1,4 @@
-"""The allow list of direct motion: what core and features expose, checked together, in force at once."""
+"""The allow list of direct motion: what the robot's profile and features expose, checked together, in force at once."""
 
 from __future__ import annotations
 
@@ -8,14 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import cast
 
-from roboneuron.config import Config, LimitsConfig
-from roboneuron.contract import Controller, RobotProfile
-from roboneuron.errors import ConfigurationError
-from roboneuron.gate import AllowedEndpoint, Gate, check_endpoint
-from roboneuron.gate.motion import MotionRules, PathLimiter, collision_of, inspector_of, motion_rules
-from roboneuron.modules.plugin import build, load_profile
-from roboneuron.plugins.registry import Registry
-from roboneuron.server.motion.exposed import (
+from rn_direct_path.exposed import (
     Exposed,
     action_endpoint,
     check_reserved,
@@ -23,6 +16,16 @@ from roboneuron.server.motion.exposed import (
     profile_endpoints,
     same_for_each_topic,
 )
+from rn_direct_path.gate import Gate
+from rn_direct_path.limits import check_endpoint
+from rn_direct_path.path_limits import PathLimiter
+from rn_direct_path.request import AllowedEndpoint
+from roboneuron.config import Config, LimitsConfig
+from roboneuron.contract import Controller, RobotProfile
+from roboneuron.errors import ConfigurationError
+from roboneuron.gate.motion import MotionRules, collision_of, inspector_of, motion_rules
+from roboneuron.modules.plugin import build, load_profile
+from roboneuron.plugins.registry import Registry
 from roboneuron.supervisor.changes import Event
 
 _Key = tuple[str, str]

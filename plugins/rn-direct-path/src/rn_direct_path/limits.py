@@ -7,9 +7,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
-from roboneuron.contract import TWIST_FIELDS, Endpoint, check_twist
-from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate.fields import (
+from rn_direct_path.fields import (
     FLOATS,
     INTEGERS,
     find_nonfinite,
@@ -19,7 +17,10 @@ from roboneuron.gate.fields import (
     type_name_of,
     walk_fields,
 )
-from roboneuron.gate.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
+from rn_direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
+from rn_direct_path.twists import TWIST_FIELDS, check_twist
+from roboneuron.contract import Endpoint
+from roboneuron.errors import ConfigurationError, RefusedError
 
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
@@ -101,7 +102,7 @@ def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
 
 
 def check_steering(endpoint: Endpoint, message: Any) -> None:
-    """Raise RefusedError for a velocity that the base cannot carry out. Source: `contract.check_twist`."""
+    """Raise RefusedError for a velocity that the base cannot carry out. Source: `check_twist`."""
     prefix = _TWISTS.get(endpoint.type)
     if prefix is None or endpoint.min_turning_radius_m <= 0.0:
         return
