@@ -144,7 +144,7 @@ def test_faults_are_recorded_and_perception_is_restarted(
             assert [i["module"] for i in only] == ["control"]
 
             own = await do("get_logs", module="server", contains="Spawned inference")
-            assert [(e["level"], e["logger"]) for e in own["entries"]] == [("info", "roboneuron.supervisor.launching")]
+            assert [(e["level"], e["logger"]) for e in own["entries"]] == [("info", "roboneuron.supervisor.bringup")]
             logs = await do("get_logs", module="inference", entries=3)
             assert len(logs["entries"]) <= 3
             assert Path(logs["path"]).exists()
