@@ -27,6 +27,7 @@ BROKEN = [
     ("feature", "feature/closes", {"target": "broken_features:LeavesThread"}),
     ("feature", "feature/closes", {"target": "broken_features:CloseNeedsStart"}),
     ("feature", "feature/no-way-round-the-gate", {"target": "rn_gateless:Gateless"}),
+    ("feature", "feature/no-way-round-the-gate", {"target": "rn_borrowed_writer:Borrower"}),
     ("command", "command/protocol", {"target": "broken_features:NoRun"}),
     ("command", "command/constructor-pure", {"target": "broken_features:RunsAProcess"}),
     ("command", "command/help", {"target": "broken_features:NoHelp"}),
