@@ -49,6 +49,7 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
     path = application.supervisor.log_directory / "server.log"
     path.parent.mkdir(parents=True)
     path.write_text("first\nsecond\n")
+    application.supervisor.log_path("robot").write_text("third\n")
 
     async def look() -> None:
         async with Client(application.server) as client:
@@ -57,6 +58,10 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
             assert uris == ["roboneuron://status", *(f"roboneuron://logs/{source}" for source in SOURCES)]
             text = (await client.read_resource("roboneuron://logs/server")).contents[0]
             assert text.text == "first\nsecond"  # type: ignore[union-attr]
+            text = (await client.read_resource("roboneuron://logs/robot")).contents[0]
+            assert text.text == "third"  # type: ignore[union-attr]
+            with pytest.raises(Exception, match=r"no resource 'roboneuron://logs/\.\./secret'"):
+                await client.read_resource("roboneuron://logs/../secret")
 
     anyio.run(look)
 

@@ -89,22 +89,14 @@ def test_status_is_typed(application: Application) -> None:
     assert status.structured_content["namespace"] == "gantry"
 
 
-def test_status_and_logs_are_resources(application: Application) -> None:
-    log = application.supervisor.log_path("robot")
-    log.parent.mkdir(parents=True)
-    log.write_text("first\nsecond\n")
-
+def test_the_status_is_a_resource(application: Application) -> None:
     async def ask() -> None:
         async with Client(application.server) as client:
             uris = {str(resource.uri) for resource in (await client.list_resources()).resources}
-            assert uris == {"roboneuron://status"} | {
-                f"roboneuron://logs/{kind}" for kind in ("robot", "perception", "inference", "control")
-            }
+            assert uris == {"roboneuron://status"}
             status = (await client.read_resource("roboneuron://status")).contents[0]
             assert json.loads(status.text)["namespace"] == "gantry"  # type: ignore[union-attr]
-            text = (await client.read_resource("roboneuron://logs/robot")).contents[0]
-            assert text.text == "first\nsecond"  # type: ignore[union-attr]
-            with pytest.raises(Exception, match=r"no resource 'roboneuron://logs/\.\./secret'"):
-                await client.read_resource("roboneuron://logs/../secret")
+            with pytest.raises(Exception, match=r"no resource 'roboneuron://secret'"):
+                await client.read_resource("roboneuron://secret")
 
     anyio.run(ask)

@@ -11,6 +11,7 @@ from rn_direct_path.allow_list import AllowList
 from rn_direct_path.arbiter import MotionArbiter
 from rn_direct_path.exposed import Exposed
 from rn_direct_path.gate import Gate
+from rn_direct_path.health_diagnostics import HealthDiagnostics
 from rn_direct_path.motion_gate import MotionGate
 from rn_direct_path.plugin import FEATURE
 from rn_direct_path.traffic import Traffic
@@ -57,6 +58,7 @@ class DirectPath(Feature[None]):
         traffic = Traffic(lambda: host.supervisor.link)
         self._gate = MotionGate(self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s)
         host.events.change.listen(self._on_module)
+        host.events.health.listen(HealthDiagnostics(host.supervisor).publish)
         return ()
 
     def complete(self, host: Host) -> None:

@@ -70,11 +70,13 @@ class Traffic:
         return True
 
     def action_client(self, exposed: Exposed) -> Any:
-        """The rclpy client of an action."""
+        """The rclpy client of an action, for as long as the link is open."""
+        from rclpy.action import ActionClient  # heavy
+
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._actions:
-                self._actions[key] = link.action_client(exposed.ros_type, exposed.topic)
+                self._actions[key] = link.on_executor(lambda: ActionClient(link.node, exposed.ros_type, exposed.topic))
             return self._actions[key]
 
     def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:

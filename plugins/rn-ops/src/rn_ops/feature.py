@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 from rn_ops.incidents import FOLDER, Incidents
 from rn_ops.memory import MemoryWatch
 from rn_ops.options import OpsOptions
-from rn_ops.records import record_tools, server_log_resource
+from rn_ops.records import Source, log_resource, record_tools
 from rn_ops.restarts import Restarts
 from rn_ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
@@ -46,8 +46,8 @@ class Operations(Feature[OpsOptions]):
         return record_tools(host.supervisor, self._incidents)
 
     def resources(self, host: Host) -> Sequence[Resource]:
-        """The server's log."""
-        return [server_log_resource(self._log.path)]
+        """The logs of modules and of the server."""
+        return [log_resource(host.supervisor, source) for source in get_args(Source)]
 
     def start(self, host: Host) -> None:
         """Begin to watch the memory of modules."""
@@ -82,7 +82,7 @@ class Operations(Feature[OpsOptions]):
 
     def _last_actions(self) -> list[dict[str, Any]]:
         stream = self._host.loop.streams.get(self._host.config.namespace)
-        newest = stream.actions()[-_ACTIONS:] if stream is not None else []
+        newest = list(stream.copy())[-_ACTIONS:] if stream is not None else []
         return [{"sent_ns": at, "values": list(values)} for at, values in newest]
 
     def _note_restart(self, kind: ModuleKind, what: str) -> None:

@@ -12,7 +12,6 @@ from rn_ops.incidents import Incidents
 from rn_ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, Resource, Result, Tool
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.resources import LOG_LINES, LOG_URI
 from roboneuron.supervisor.process import read_tail
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -21,6 +20,7 @@ Source = Literal["robot", "perception", "inference", "control", "server"]
 _LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 _RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
 _ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
+LOG_LINES = 500
 _MOST_LINES = 2000
 _MOST_TEXT = 4000
 
@@ -102,14 +102,14 @@ def log_file(supervisor: Supervisor, source: Source) -> Path:
     return supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
 
 
-def server_log_resource(path: Path) -> Resource:
-    """The end of the server's log; the logs of modules are resources of core."""
+def log_resource(supervisor: Supervisor, source: Source) -> Resource:
+    """The end of a module's log, or of the server's."""
     return Resource(
-        uri=f"{LOG_URI}server",
-        name="log of server",
-        title="Log of server",
-        description=f"The last {LOG_LINES} lines that server has written.",
-        read=lambda: "\n".join(read_tail(path, lines=LOG_LINES)),
+        uri=f"roboneuron://logs/{source}",
+        name=f"log of {source}",
+        title=f"Log of {source}",
+        description=f"The last {LOG_LINES} lines that {source} has written.",
+        read=lambda: "\n".join(read_tail(log_file(supervisor, source), lines=LOG_LINES)),
     )
 
 

@@ -118,7 +118,7 @@ class AccelerationSwitch:
         stream = self._loop.stream(self._selection.config.namespace)
         changed_ns = int(report.metrics["acceleration_changed_ns"])
         return self._supervisor.changes.wait_for(
-            lambda: action_gap([at for at, _ in stream.actions()], changed_ns), ARRIVAL_S
+            lambda: action_gap([at for at, _ in stream.copy()], changed_ns), ARRIVAL_S
         )
 
 

@@ -113,7 +113,7 @@ class InferenceCheck(SwitchCheck):
                 f"The new backend predicted nothing within {_SHADOW_S:g} s in shadow; nothing was replaced.",
                 hint="Do images come? See get_status.",
             )
-        sent = [values for sent_ns, values in self._stream.actions() if sent_ns >= started_ns]
+        sent = [values for sent_ns, values in self._stream.copy() if sent_ns >= started_ns]
         difference = _difference(list(seen.values()), sent)
         if difference is not None and difference > self._bound:
             raise RefusedError(
@@ -142,7 +142,7 @@ class InferenceCheck(SwitchCheck):
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
         """See `SwitchCheck.measure`."""
         first_ns = _number(new, "first_sent_ns.action")
-        return action_gap([at for at, _ in self._stream.actions()], first_ns) if first_ns else None
+        return action_gap([at for at, _ in self._stream.copy()], first_ns) if first_ns else None
 
 
 class PerceptionCheck(SwitchCheck):

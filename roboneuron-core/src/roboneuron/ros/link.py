@@ -132,10 +132,6 @@ class RosLink:
         publisher = self.on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
         return cast("Callable[[M], None]", publisher.publish)
 
-    def action_client(self, action_type: type, name: str) -> ActionClient:
-        """A client of the action with that absolute name, for as long as the link is open."""
-        return self.on_executor(lambda: ActionClient(self._node, action_type, name))
-
     def call(self, service_type: type, name: str, request: object, on_answer: Callable[[], None]) -> Call:
         """Send a request to the service with that absolute name; `on_answer` is called when the answer is there."""
         client = self._client(service_type, name)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import gc
 import logging
-import os
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
 
 import anyio
 from anyio import to_thread
@@ -29,11 +26,8 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, status_tool
 from roboneuron.server.sections import check_configuration
 from roboneuron.server.surface import make_server
-from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView, Watch
+from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
-
-if TYPE_CHECKING:
-    from diagnostic_msgs.msg import DiagnosticArray
 
 SWITCH_S = 0.001
 """How long a thread that computes keeps the others waiting; the interpreter's own default is 5 ms."""
@@ -59,39 +53,6 @@ set_instruction. Watch get_status and get_camera_image. A call that returns has 
 error with a reason. list_* tell what can be chosen. publish_*, read_*, call_*, send_*_goal, move_* use the robot's ROS
 interfaces directly; while a policy runs, it alone moves the robot. emergency_stop stops all motion at once; stop_all
 ends all."""
-
-
-class HealthDiagnostics:
-    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change of its health."""
-
-    def __init__(self, supervisor: Supervisor) -> None:
-        self._supervisor = supervisor
-        self._send: Callable[[DiagnosticArray], None] | None = None
-
-    def publish(self, view: ModuleView, before: Health, health: Health) -> None:
-        """Publish one change; a listener of `Events.health`."""
-        if view.choice is None:
-            return
-        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
-
-        from roboneuron.ros.qos import STATUS
-        from roboneuron.ros.topics import DIAGNOSTICS
-
-        if self._send is None:
-            self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
-        level: Any = DiagnosticStatus.OK
-        if health in FAULTS:
-            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
-        told = DiagnosticStatus(
-            level=level,
-            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
-            message=EXPLANATIONS[health],
-            hardware_id=str(os.getpid()),
-            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
-        )
-        message = DiagnosticArray(status=[told])
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
-        self._send(message)
 
 
 class Application:
@@ -130,9 +91,7 @@ class Application:
         self.supervisor.on_join = self.features.on_join
         reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
         self._watch = Watch(reports.look, self.events.health.tell)
-        self._diagnostics = HealthDiagnostics(self.supervisor)
         self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
-        self.events.health.listen(self._diagnostics.publish)
         self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
         self.tools = ToolRegistry(
             [status_tool(self.loop, self.started_s), *closed_loop_tools(self.loop), *emergency_tools(self.loop)],

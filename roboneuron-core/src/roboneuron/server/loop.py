@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from roboneuron.config import Config
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
@@ -28,33 +28,26 @@ _PARAMETER_S = 5.0
 _KEPT_ACTIONS = 4096
 
 
-class ActionStream:
-    """Listens to `/<namespace>/action` for as long as the link is open.
+Sent: TypeAlias = tuple[int, tuple[float, ...]]
+"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its values."""
 
-    Times are DDS source times [ns]: when the inference process sent the action, whatever the way to here took.
-    """
 
-    def __init__(self, link: RosLink, namespace: str) -> None:
-        from std_msgs.msg import Float64MultiArray  # heavy
+def _listen(link: RosLink, namespace: str) -> deque[Sent]:
+    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open; read a `copy`."""
+    from std_msgs.msg import Float64MultiArray  # heavy
 
-        from roboneuron.ros.qos import STATUS
-        from roboneuron.ros.topics import ACTION
+    from roboneuron.ros.qos import STATUS
+    from roboneuron.ros.topics import ACTION
 
-        self._lock = threading.Lock()
-        self._actions: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=_KEPT_ACTIONS)
+    # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
+    actions: deque[Sent] = deque(maxlen=_KEPT_ACTIONS)
 
-        def receive(message: Any, info: dict[str, Any]) -> None:
-            with self._lock:
-                self._actions.append((int(info["source_timestamp"]), tuple(message.data)))
+    def receive(message: Any, info: dict[str, Any]) -> None:
+        actions.append((int(info["source_timestamp"]), tuple(message.data)))
 
-        topic = f"/{namespace}/{ACTION}"
-        # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
-        link.on_executor(lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS))
-
-    def actions(self) -> list[tuple[int, tuple[float, ...]]]:
-        """The newest actions: source time [ns] and values, oldest first."""
-        with self._lock:
-            return list(self._actions)
+    topic = f"/{namespace}/{ACTION}"
+    link.on_executor(lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS))
+    return actions
 
 
 class ClosedLoop:
@@ -73,7 +66,7 @@ class ClosedLoop:
         self.emergency_stop = EmergencyStop(supervisor)
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self.streams: dict[str, ActionStream] = {}
+        self.streams: dict[str, deque[Sent]] = {}
         self._lock = threading.Lock()
 
     @property
@@ -137,11 +130,11 @@ class ClosedLoop:
             on_stage=on_stage,
         )
 
-    def stream(self, namespace: str) -> ActionStream:
+    def stream(self, namespace: str) -> deque[Sent]:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
             if namespace not in self.streams:
-                self.streams[namespace] = ActionStream(self.supervisor.link, namespace)
+                self.streams[namespace] = _listen(self.supervisor.link, namespace)
             return self.streams[namespace]
 
     def stop(self, kind: ModuleKind) -> Stopped | None:

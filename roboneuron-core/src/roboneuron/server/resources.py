@@ -1,4 +1,4 @@
-"""What the agent sees of the server: get_status, and the status and the logs of each module as MCP resources."""
+"""What the agent sees of the server: get_status, and the same as an MCP resource beside those of features."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from mcp import types
 from mcp.shared.exceptions import MCPError
 
 from roboneuron import __version__
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import StatusResult, module_status
 from roboneuron.server.tool import CallContext, NoArguments, Tool
-from roboneuron.supervisor.process import read_tail
 
 
 @cache
@@ -69,8 +67,6 @@ def status_tool(loop: ClosedLoop, started_s: float) -> Tool[Any]:
 
 
 STATUS_URI = "roboneuron://status"
-LOG_URI = "roboneuron://logs/"
-LOG_LINES = 500
 
 
 class Resources:
@@ -85,9 +81,8 @@ class Resources:
             read=lambda: status(loop, started_s).model_dump_json(indent=2),
             mime_type="application/json",
         )
-        logs = [_log_of(kind, loop) for kind in MODULE_KINDS]
         self._offered: dict[str, Resource] = {}
-        for resource in (own, *logs, *offered):
+        for resource in (own, *offered):
             self._offered.setdefault(resource.uri, resource)
 
     def listing(self) -> list[types.Resource]:
@@ -108,13 +103,3 @@ class Resources:
         if uri not in self._offered:
             known = ", ".join(self._offered)
             raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
-
-
-def _log_of(kind: ModuleKind, loop: ClosedLoop) -> Resource:
-    return Resource(
-        uri=f"{LOG_URI}{kind}",
-        name=f"log of {kind}",
-        title=f"Log of {kind}",
-        description=f"The last {LOG_LINES} lines that {kind} has written.",
-        read=lambda: "\n".join(read_tail(loop.supervisor.log_path(kind), lines=LOG_LINES)),
-    )
