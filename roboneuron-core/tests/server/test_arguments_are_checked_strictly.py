@@ -8,7 +8,7 @@ import pytest
 from pydantic import Field
 
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.schema import Derived, model_schema, parse
+from roboneuron.server.schema import parse
 from roboneuron.server.tool import Arguments
 
 
@@ -28,11 +28,6 @@ class Move(Arguments):
     steps: list[Step] = Field(default_factory=list)
     note: str | None = None
     box_m: tuple[float, float] = (0.0, 1.0)
-
-
-DERIVED = Derived(
-    model=Move, properties={"speed": {"maximum": 1.5}, "note": {"enum": ["left", "right"]}}, required=["speed"]
-)
 
 
 @pytest.mark.parametrize(
@@ -75,27 +70,3 @@ def test_what_is_no_text_is_refused() -> None:
 
 def test_an_integer_may_be_written_with_a_point_and_null_is_omitted() -> None:
     assert parse(Move, {"times": 2.0, "speed": 1, "note": None}) == Move(times=2, speed=1.0)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({}, "Argument 'speed' is missing."),
-        ({"speed": None}, "Argument 'speed' is None"),
-        ({"speed": 1.75}, "Argument 'speed' is 1.75, expected up to 1.5."),
-        ({"speed": 1, "note": "lift"}, "Argument 'note' is 'lift'. Did you mean 'left'? Choose one of: left, right."),
-        ({"speed": 1, "times": 2}, "The call has no argument 'times'."),
-    ],
-)
-def test_what_is_known_at_run_time_only_is_checked_too(given: dict[str, Any], words: str) -> None:
-    with pytest.raises(InvalidInputError) as caught:
-        parse(DERIVED, given)
-    assert words in str(caught.value)
-
-
-def test_a_derived_schema_holds_what_is_used_and_no_other_definition() -> None:
-    schema = model_schema(DERIVED)
-    assert schema["properties"]["speed"] == {"default": 1.0, "minimum": 0, "maximum": 1.5, "type": "number"}
-    assert schema["required"] == ["speed"]
-    assert "$defs" not in schema
-    assert model_schema(Derived(model=Move, properties={"steps": {}}))["$defs"].keys() == {"Step"}

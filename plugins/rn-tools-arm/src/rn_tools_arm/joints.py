@@ -11,13 +11,14 @@ from typing import Any
 from pydantic import Field
 
 from rn_direct_path.delivery import TRAJECTORY, Command
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import Exposed, gate_request
 from rn_direct_path.motion_gate import MotionGate
 from rn_direct_path.speeds import shortest_s
 from roboneuron.contract import JointSample
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.gate.motion.joint_space import JointLimit, joint_limits
-from roboneuron.server.schema import Derived, Schema, unknown_name
+from roboneuron.server.schema import Schema, unknown_name
 from roboneuron.server.tool import Arguments, CallContext, Result, Stage, Tool
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5

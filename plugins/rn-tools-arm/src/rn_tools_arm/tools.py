@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import ACTION_LABEL
 from rn_direct_path.feature import gate_of
 from rn_tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
@@ -11,7 +12,7 @@ from rn_tools_arm.joints import joint_tools
 from rn_tools_arm.measured import MeasuredPose
 from rn_tools_arm.options import ArmToolsOptions
 from roboneuron.server.host import Host
-from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.schema import Schema
 from roboneuron.server.tool import Tool
 
 

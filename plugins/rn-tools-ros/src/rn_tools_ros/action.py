@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import gate_request
 from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
@@ -18,7 +19,6 @@ from rn_tools_ros.interfaces import ActionInterface
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import StateError
-from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Stage
 
 _FEEDBACK_PERIOD_S = 0.1

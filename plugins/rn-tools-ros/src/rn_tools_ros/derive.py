@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import Exposed
 from rn_direct_path.feature import gate_of
 from rn_tools_ros.action import GoalSending, SendGoal, goal_model
@@ -17,7 +18,7 @@ from rn_tools_ros.sequence import PublishSequence, Sequencing
 from rn_tools_ros.service import Calling, CallService, served_model
 from rn_tools_ros.targets import Targets
 from roboneuron.server.host import Host
-from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.schema import Schema
 from roboneuron.server.tool import Tool
 
 _SENT = "Fails when nobody subscribes."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.parameter_calls import (
     ListParameters,
@@ -16,7 +17,7 @@ from rn_tools_ros.parameter_calls import (
     Setting,
 )
 from rn_tools_ros.parameter_nodes import ParameterNode
-from roboneuron.server.schema import Derived, Schema
+from roboneuron.server.schema import Schema
 from roboneuron.server.tool import Tool
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import Exposed, gate_request
 from rn_direct_path.feature import gate_of
 from rn_tools_ros.calls import RobotCall, Value
@@ -17,7 +18,6 @@ from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.targets import Targets
 from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.server.host import Host
-from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Picture, Reply, Result
 
 _PICTURES = 4

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_direct_path.derived import Derived
 from rn_direct_path.exposed import gate_request
 from rn_direct_path.motion_gate import MotionGate
 from rn_tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
@@ -14,7 +15,6 @@ from rn_tools_ros.exposed_types import service_of
 from rn_tools_ros.schemas import decoded_schema
 from rn_tools_ros.service_calls import Response, call
 from rn_tools_ros.targets import Targets
-from roboneuron.server.schema import Derived
 from roboneuron.server.tool import CallContext, Stage
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Generic, TypeVar
 
@@ -19,39 +19,23 @@ M = TypeVar("M", bound=BaseModel)
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Derived(Generic[M_co]):
-    """A model whose JSON schema is known only at run time, such as from a ROS interface.
-
-    Attributes:
-        model: what a call is parsed into, or what a tool returns.
-        properties: JSON schema of each field that is used, laid over the model's own; `enum` and `maximum` are checked.
-            Results leave out what their handler did not set.
-        required: names of the fields that must be given.
-    """
+class Shape(ABC, Generic[M_co]):
+    """Some fields of `model`, as one tool takes or returns them; results leave out what their handler did not set."""
 
     model: type[M_co]
-    properties: Mapping[str, Schema]
-    required: Sequence[str] = ()
+
+    @abstractmethod
+    def schema(self, own: Schema) -> Schema:
+        """The strict JSON schema, from the model's own; a call may give `properties` and must give `required`."""
+
+    @abstractmethod
+    def check(self, name: str, value: object) -> None:
+        """Raise InvalidInputError for a value that fits the model and not the tool."""
 
 
-def model_schema(kind: type[BaseModel] | Derived[BaseModel], *, result: bool = False) -> Schema:
+def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False) -> Schema:
     """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
-    if not isinstance(kind, Derived):
-        return _own_schema(kind, result)
-    own = _own_schema(kind.model, result)
-    definitions: Schema = {}
-    properties: dict[str, Schema] = {}
-    for name, part in kind.properties.items():
-        entry = {**own["properties"].get(name, {}), **part}
-        definitions |= entry.pop("$defs", {})
-        properties[name] = entry
-    used = repr(properties)
-    definitions |= {name: entry for name, entry in own.get("$defs", {}).items() if f"#/$defs/{name}'" in used}
-    schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
-    if kind.required:
-        schema["required"] = list(kind.required)
-    return {**schema, "$defs": definitions} if definitions else schema
+    return kind.schema(_own_schema(kind.model, result)) if isinstance(kind, Shape) else _own_schema(kind, result)
 
 
 @cache
@@ -126,17 +110,16 @@ def _plain(node: Any, *, keep_null: bool) -> Any:
 
 
 def parse(
-    kind: type[M] | Derived[M], arguments: Mapping[str, Any], choices: Mapping[str, Mapping[str, str]] | None = None
+    kind: type[M] | Shape[M], arguments: Mapping[str, Any], choices: Mapping[str, Mapping[str, str]] | None = None
 ) -> M:
     """The arguments of a call as the model; null for what is optional counts as omitted.
 
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    model = kind.model if isinstance(kind, Derived) else kind
-    fields = model.model_fields
-    names = [*kind.properties] if isinstance(kind, Derived) else [*fields]
-    required = kind.required if isinstance(kind, Derived) else [n for n, field in fields.items() if field.is_required()]
+    model = kind.model if isinstance(kind, Shape) else kind
+    schema = model_schema(kind)
+    names, required = [*schema["properties"]], schema.get("required", [])
     for name in arguments:
         if name not in names:
             raise unknown_name("The call", name, names)
@@ -145,7 +128,7 @@ def parse(
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():  # to JSON, 1.0 is an integer
-        if fields[name].annotation is int and isinstance(value, float) and value.is_integer():
+        if model.model_fields[name].annotation is int and isinstance(value, float) and value.is_integer():
             given[name] = int(value)
     try:
         parsed = model.model_validate_json(json.dumps(given))  # as JSON: strict, but a list is a tuple where one is due
@@ -155,18 +138,11 @@ def parse(
         value = getattr(parsed, name)
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             if allowed and item not in allowed:
-                raise _no_choice(name, item, list(allowed))
-    if isinstance(kind, Derived):
+                raise no_choice(name, item, list(allowed))
+    if isinstance(kind, Shape):
         for name in given:
-            _check_derived(name, getattr(parsed, name), kind.properties[name])
+            kind.check(name, getattr(parsed, name))
     return parsed
-
-
-def _check_derived(name: str, value: Any, schema: Schema) -> None:
-    if "enum" in schema and value not in schema["enum"]:
-        raise _no_choice(name, value, schema["enum"])
-    if isinstance(value, int | float) and value > schema.get("maximum", value):
-        raise InvalidInputError(f"Argument {name!r} is {value:g}, expected up to {schema['maximum']:g}.", path=name)
 
 
 def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:
@@ -180,7 +156,7 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     if first["type"] == "missing":
         return InvalidInputError(f"Argument {path!r} is missing.", path=path)
     if first["type"] == "literal_error":
-        return _no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+        return no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
     if first["type"] == "json_invalid":
         return InvalidInputError("The call holds text that is no Unicode, or is nested too deeply.")
     what = first["msg"].replace("Input should be ", "expected ")
@@ -194,7 +170,8 @@ def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInput
     return InvalidInputError(f"{where} has no argument {text!r}.", hint=hint, path=text)
 
 
-def _no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
+def no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
+    """The error for a value at `path` that is none of those allowed, with the nearest one that is."""
     listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
     message = f"Argument {path!r} is {_short(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
     return InvalidInputError(message, hint=f"Choose one of: {listed}.", path=path)

@@ -8,7 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from roboneuron.server.schema import Derived, Schema, model_schema, parse, with_choices
+from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments")
@@ -114,7 +114,7 @@ class Tool(Generic[A]):
         name: snake_case, a verb first.
         title: for people.
         description: for the agent: what it does, when it returns, what comes before and after it.
-        arguments, result: models, whose JSON schemas are what the agent sees; or `Derived` ones.
+        arguments, result: models, whose JSON schemas are what the agent sees; or a `Shape` of one.
         handler: validated arguments -> Result or Reply; raises RoboNeuronError.
         read_only: changes nothing.
         destructive: may end or undo something.
@@ -131,8 +131,8 @@ class Tool(Generic[A]):
     name: str
     title: str
     description: str
-    arguments: type[A] | Derived[A]
-    result: type[Result] | Derived[Result]
+    arguments: type[A] | Shape[A]
+    result: type[Result] | Shape[Result]
     handler: Callable[[A, CallContext], Awaitable[Result | Reply]]
     read_only: bool = False
     destructive: bool = False
@@ -157,7 +157,7 @@ class Tool(Generic[A]):
         """Check the arguments and do it. Raises InvalidInputError for them, and what the handler raises."""
         outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        told = reply.result.model_dump(mode="json", exclude_unset=isinstance(self.result, Derived))
+        told = reply.result.model_dump(mode="json", exclude_unset=isinstance(self.result, Shape))
         return Answer(structured=told, pictures=reply.pictures)
 
     def _choices(self) -> dict[str, dict[str, str]]:
