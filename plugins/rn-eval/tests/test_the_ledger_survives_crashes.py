@@ -56,10 +56,11 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
 
 @pytest.fixture
 def sigterm():
-    """Puts back what SIGTERM did."""
-    before = signal.getsignal(signal.SIGTERM)
+    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has put in the background."""
+    before, interrupt = signal.getsignal(signal.SIGTERM), signal.signal(signal.SIGINT, signal.default_int_handler)
     yield before
     signal.signal(signal.SIGTERM, before)
+    signal.signal(signal.SIGINT, interrupt)
 
 
 @pytest.mark.parametrize(("number", "ended"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])

@@ -37,7 +37,7 @@ class Derived(Shape[M_co]):
             entry = {**own["properties"].get(name, {}), **part}
             definitions |= entry.pop("$defs", {})
             properties[name] = entry
-        used = repr(properties)
+        used = repr(properties) if "$defs" in own else ""  # made for each call: costs as much as a small message
         definitions |= {name: entry for name, entry in own.get("$defs", {}).items() if f"#/$defs/{name}'" in used}
         schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
         if self.required:
