@@ -88,7 +88,7 @@ def test_resources_carry_the_name_of_their_robot(fleet: Fleet) -> None:
             return uris, str(content.uri) + content.model_dump()["text"]
 
     uris, read = anyio.run(ask)
-    assert {"roboneuron://left/status", "roboneuron://right-arm/status", "roboneuron://left/logs/robot"} <= set(uris)
+    assert {"roboneuron://left/status", "roboneuron://right-arm/status"} <= set(uris)
     assert read.startswith("roboneuron://right-arm/status{")
     assert '"namespace": "right_arm"' in read
 
