@@ -150,10 +150,11 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
 
 
 SERVE = (
-    "import logging, sys\nlogging.basicConfig(level='ERROR')\nfrom pathlib import Path\n"
+    "import gc, logging, sys\ngc.disable()\nlogging.basicConfig(level='ERROR')\nfrom pathlib import Path\n"
     "from roboneuron.config import load_config\n"
     "from roboneuron.cli.serve import divert_standard_streams\nwire = divert_standard_streams()\n"
-    "import roboneuron.server.serving as serving\nserving.check_configuration = lambda *a: None\n"
+    "import roboneuron.server.app as app\nimport roboneuron.server.serving as serving\n"
+    "app.check_configuration = lambda *a: None\n"
     "serving.serve(load_config(Path(sys.argv[1])), wire)\n"
 )
 

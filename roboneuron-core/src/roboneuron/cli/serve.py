@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from argparse import ArgumentError, ArgumentParser, Namespace
@@ -58,6 +59,7 @@ def run(arguments: Namespace) -> int:
     """Run `roboneuron serve`."""
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
+    gc.disable()  # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
     from roboneuron.config import load_config
 
     config = with_server(load_config(arguments.config), arguments)

@@ -42,6 +42,7 @@ def shorten_pauses() -> None:
     sys.setswitchinterval(SWITCH_S)
     gc.collect()
     gc.freeze()
+    gc.enable()  # off since the start, see cli/serve.py
 
 
 log = logging.getLogger(__name__)
