@@ -21,6 +21,12 @@ from .contract import (
     check_action_vector as check_action_vector, check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
 )
+from .contract.arrays import (
+    freeze as freeze,
+)
+from .contract.image import (
+    MAX_SIDE_PX as MAX_SIDE_PX,
+)
 from .contract.rotation import (
     matrix_from_quaternion as matrix_from_quaternion, matrix_from_rotvec as matrix_from_rotvec,
     quaternion_from_matrix as quaternion_from_matrix, rotvec_from_matrix as rotvec_from_matrix,

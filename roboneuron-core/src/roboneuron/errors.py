@@ -7,14 +7,24 @@ the configuration, install something, correct an argument, retry, stop the robot
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from typing import ClassVar
+
+_TYPING_ERROR = 0.8
+"""Likeness of names that differ by a letter or two."""
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: float = 0.6) -> str:
-    """The question whether the known name that is most like `name` was meant; `otherwise` when none is like it."""
-    close = get_close_matches(name, list(known), n=1, cutoff=likeness)
-    return f"Did you mean {close[0]!r}?" if close else otherwise
+    """The question whether the known name that is most like `name` was meant; `otherwise` when none is like it.
+
+    Shared letters alone do not make a typing error ("options" is not "python"): the first letter is the same too, one
+    name is a part of the other, or they differ by a letter or two.
+    """
+    for close in get_close_matches(name, list(known), n=3, cutoff=likeness):
+        is_similar = close[:1] == name[:1] or close in name or name in close
+        if is_similar or not likeness or SequenceMatcher(a=name, b=close).ratio() >= _TYPING_ERROR:
+            return f"Did you mean {close!r}?"
+    return otherwise
 
 
 class RoboNeuronError(Exception):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.cli.main import main
-from roboneuron.gate.estop import FILE_NAME
+from roboneuron.gate.estop import ESTOP_FILE
 
 BROKEN = """
 disabled_plugins = ["never-installed"]
@@ -24,7 +24,7 @@ def test_a_configuration_that_no_server_would_take_still_names_the_state_directo
     file, state = tmp_path / "roboneuron.toml", tmp_path / "state"
     file.write_text(f'{BROKEN}state_directory = "{state}"\n')
     assert main(["estop", "--config", str(file), "--reason", "smoke"]) == 0
-    assert (state / FILE_NAME).exists()
+    assert (state / ESTOP_FILE).exists()
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_configuration_that_no_server_would_take_still_names_the_state_directo
     [
         ("[supervisor]\nstate_directory = 3\n", "supervisor.state_directory = 3: input should be a valid string"),
         ("[supervisor\n", "is not valid TOML"),
-        (None, "cannot be read"),
+        (None, "There is no file"),
     ],
 )
 def test_a_file_that_does_not_tell_the_directory_is_refused(
@@ -44,4 +44,4 @@ def test_a_file_that_does_not_tell_the_directory_is_refused(
         file.write_text(text)
     assert main(["estop", "--config", str(file)]) == 2
     assert said in capsys.readouterr().err
-    assert not list(tmp_path.rglob(FILE_NAME))
+    assert not list(tmp_path.rglob(ESTOP_FILE))

@@ -12,6 +12,7 @@ from roboneuron import FeatureSpec, Section
 from roboneuron.cli.commands import run_command
 from roboneuron.cli.serve import add_installed_flags, configure, with_server
 from roboneuron.config import Config, feature_options, parse_config
+from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Registry
 
 
@@ -56,6 +57,11 @@ def test_only_a_feature_that_says_so_has_a_flag(registry: Registry, capsys: pyte
     with pytest.raises(SystemExit):
         options(registry, "--silent")
     assert "--silent" in capsys.readouterr().err
+
+
+def test_the_flag_of_a_feature_that_is_not_installed_says_what_to_install(registry: Registry) -> None:
+    with pytest.raises(ConfigurationError, match=r"rn-view brings it.*pip install -r requirements\.txt"):
+        options(registry, "--view")
 
 
 def test_a_feature_called_as_an_option_leaves_that_alone(registry: Registry) -> None:

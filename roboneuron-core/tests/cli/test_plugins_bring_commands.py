@@ -85,5 +85,5 @@ def test_a_command_of_a_package_that_is_not_installed_names_it(monkeypatch, caps
     monkeypatch.setattr(main, "discover", lambda: Registry(plugins=(), all_offers=()))
     assert main.main(["doctor"]) == 2
     said = capsys.readouterr().err
-    assert "the package rn-ops brings it" in said
-    assert "pip install ./plugins/rn-ops" in said
+    assert "the package rn-standard brings it" in said
+    assert "pip install -r requirements.txt" in said

@@ -60,7 +60,9 @@ def test_what_is_right_passes(text: str) -> None:
 
 def test_options_of_plugins_that_are_left_out_are_not_judged() -> None:
     def with_plugin(distribution: str) -> Registry:
-        record = PluginRecord(distribution=distribution, version="1", module="m", status=Status.DISABLED)
+        record = PluginRecord(
+            name=distribution, distribution=distribution, version="1", module="m", status=Status.DISABLED
+        )
         return Registry(plugins=(*REGISTRY.plugins, record), all_offers=REGISTRY.all_offers)
 
     check_sections(parse_config(f"{ROBOT}[plugins.pi0]\n"), with_plugin("rn-backend-pi0"))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.config import load_config, parse_config
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.registry import Registry
 
 MINIMAL = '[robot]\nname = "arm"\n'
@@ -56,6 +56,22 @@ def test_error_names_file_key_and_what_is_valid(text: str, expected: str) -> Non
     assert expected in str(caught.value)
 
 
+def test_names_that_only_share_letters_are_not_suggested() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(MINIMAL + "[inference]\nbackend = 'servo'\noptions = { gain = 1 }\n")
+    assert "Did you mean" not in str(caught.value)
+    assert "Valid keys: acceleration," in str(caught.value)
+    assert "Options of a plugin stand under [plugins.<name>]." in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("timeout", "timeout_s"), ("ackend", "backend"), ("bakcend", "backend"), ("tolerance", "path_tolerance")],
+)
+def test_typing_errors_and_parts_of_names_are_suggested(typed: str, meant: str) -> None:
+    assert nearest(typed, ["python", "backend", "timeout_s", "path_tolerance"]) == f"Did you mean {meant!r}?"
+
+
 def test_every_error_is_reported_at_once() -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse_config("[robot]\nnam = 'arm'\nstate_rate_hz = 1\n")
@@ -64,7 +80,7 @@ def test_every_error_is_reported_at_once() -> None:
 
 
 def test_missing_file_is_a_configuration_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="cannot be read"):
+    with pytest.raises(ConfigurationError, match=r"There is no file /.*roboneuron config show > "):
         load_config(tmp_path / "absent.toml")
 
 
@@ -118,6 +134,6 @@ def test_keys_have_moved_to_keys_that_there_are() -> None:
 
 
 def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:
-    with pytest.raises(ConfigurationError, match="a feature of rn-ops, which is not installed") as caught:
+    with pytest.raises(ConfigurationError, match="a feature of rn-standard, which is not installed") as caught:
         parse_config(MINIMAL + "[ops]\n", registry=Registry(plugins=(), all_offers=()))
-    assert "pip install ./plugins/rn-ops" in caught.value.hint
+    assert "pip install -r requirements.txt" in caught.value.hint

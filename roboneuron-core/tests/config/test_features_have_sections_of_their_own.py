@@ -72,7 +72,13 @@ def test_what_is_wrong_is_named_with_the_nearest_valid_key(text, fault):
 
 
 def test_a_section_of_a_feature_that_cannot_be_used_says_why():
-    offer = Offer(spec=RECORDER, distribution="rn-recorder", status=Status.UNAVAILABLE, reason="Needs 'mcap'.")
+    offer = Offer(
+        spec=RECORDER,
+        plugin="rn-recorder",
+        distribution="rn-recorder",
+        status=Status.UNAVAILABLE,
+        reason="Needs 'mcap'.",
+    )
     registry = Registry(plugins=(), all_offers=(offer,))
     with pytest.raises(ConfigurationError, match=r"belongs to the feature 'run-recorder' of rn-recorder.*Needs 'mcap'"):
         parse_config(f"{ROBOT}[run_recorder]\n", registry=registry)
@@ -87,7 +93,7 @@ def test_modules_are_not_told_the_sections_of_features():
 
 
 def test_the_section_of_a_package_that_is_absent_names_the_package():
-    with pytest.raises(ConfigurationError, match=r"'http' belongs to a feature of rn-serve-http.* Run: pip install"):
+    with pytest.raises(ConfigurationError, match=r"'http' belongs to a feature of rn-standard.* Run: pip install"):
         parse_config(f"{ROBOT}[http]\nport = 1\n", registry=REGISTRY)
 
 

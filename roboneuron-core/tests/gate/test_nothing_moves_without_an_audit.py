@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from roboneuron import RefusedError
 from roboneuron.gate import AuditLog, AuditRecord
 
 WRITE = """
@@ -107,3 +111,44 @@ def test_a_deleted_file_is_begun_again(audit) -> None:
     audit.path.unlink()
     audit.write(record(tool="second"))
     assert read(audit.path)[0]["tool"] == "second"
+
+
+@contextmanager
+def room_for(size_bytes: int) -> Iterator[None]:
+    """Files of this process end at that size, as on a disk that is full: the last write is a short one."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_leaves_no_cut_line(audit) -> None:
+    audit.write(record(tool="before"))
+    whole = audit.path.stat().st_size
+    with room_for(whole + 40):
+        for _ in range(2):
+            with pytest.raises(RefusedError, match="Nothing moves without it"):
+                audit.write(record(tool="cut"))
+            assert audit.failed
+    assert audit.path.stat().st_size == whole
+    audit.write(record(tool="after"))
+    assert [line["tool"] for line in read(audit.path)] == ["before", "after"]
+
+
+def test_a_line_that_somebody_left_cut_is_ended_and_told(audit) -> None:
+    """As a power failure leaves it: whoever writes next, in whatever process, does not add to it."""
+    audit.write(record(tool="before"))
+    audit.close()
+    with audit.path.open("ab") as file:
+        file.write(b'{"time":"2023-11-')
+    audit.write(record(tool="after"))
+    audit.write(record(tool="last"))
+    before, cut, *rest = audit.path.read_text().splitlines()
+    assert json.loads(before)["tool"] == "before"
+    assert cut == '{"time":"2023-11-'
+    mark, after, last = (json.loads(line) for line in rest)
+    assert (mark["verdict"], mark["rule"]) == ("cut", "audit")
+    assert "cut short" in mark["reason"]
+    assert (after["tool"], last["tool"]) == ("after", "last")

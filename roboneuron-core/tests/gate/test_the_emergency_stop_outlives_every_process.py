@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -72,6 +73,24 @@ def test_if_it_cannot_be_written_this_process_stops_and_says_so(clock) -> None:
     with pytest.raises(UnsafeError, match="only this process is stopped"):
         latch.latch(who="a", reason="b")
     assert latch.is_latched()
+
+
+def test_a_process_without_file_handles_stops_the_others_by_the_one_it_keeps(latch) -> None:
+    latch.reserve()
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    next_one = os.dup(0)
+    os.close(next_one)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (next_one, before[1]))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            os.dup(0)
+        latch.press(who="a", reason="b")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert latch.path.exists()
+    assert latch.read_state().who == "a"
+    assert latch.release()  # it keeps one again
+    assert not latch.release()
 
 
 def test_a_reset_needs_an_admin_and_is_written_down_first(latch, audit) -> None:

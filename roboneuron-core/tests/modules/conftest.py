@@ -73,6 +73,15 @@ class World:
         assert wait_until(task.done, 10.0), "the executor did not run the task"
         return task.result()
 
+    def permit(self, node: Any) -> None:
+        """Let a module obey after a stop, as the server does when somebody asks for motion."""
+        from rclpy.parameter import Parameter
+
+        from roboneuron.modules.settings import START_PARAMETER
+
+        asked = [Parameter(START_PARAMETER, value=node.stops)]
+        assert self.run(lambda: node.set_parameters(asked))[0].successful
+
     def module(
         self, kind: ModuleKind, *, extra: str = "", replace: dict[str, str] | None = None, shadow: bool = False
     ) -> Any:

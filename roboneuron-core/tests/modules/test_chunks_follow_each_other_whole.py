@@ -93,4 +93,4 @@ def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:
 def test_a_mode_that_nobody_offers_is_refused(mode: str) -> None:
     with pytest.raises(ConfigurationError, match=f"{mode!r}, which no feature offers") as caught:
         make_sequential(BACKEND, mode, Bounds(first_s=0.5))
-    assert "rn-execution" in caught.value.hint
+    assert "pip install -r requirements.txt" in caught.value.hint

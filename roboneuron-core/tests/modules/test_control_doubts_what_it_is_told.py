@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
 from roboneuron.modules import control as control_module
+from roboneuron.modules.settings import SERVER_SILENT
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 pytestmark = pytest.mark.ros
@@ -148,7 +149,7 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(c
     assert cell.wait_until(lambda: len(cell.commands) == before + 1)
 
 
-def test_server_that_is_frozen_stops_the_arm_until_it_lives_again(cell: Cell) -> None:
+def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell: Cell) -> None:
     """Without a server nobody beats, and nothing is asked for."""
     limits = cell.control.module._limits
     cell.control.module._limits = limits.model_copy(update={"server_timeout_s": 0.3})
@@ -156,6 +157,11 @@ def test_server_that_is_frozen_stops_the_arm_until_it_lives_again(cell: Cell) ->
     assert cell.wait_until(lambda: len(cell.commands) > 20)
     for _ in range(2):
         cell.control.note_beat()
+        if cell.control.needs_start:
+            count = len(cell.commands)
+            assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2), "its life starts nothing"
+            cell.control.note_beat()
+            cell.world.permit(cell.control)
         before, dropped = len(cell.commands), cell.count("dropped.server_silent")
         assert cell.wait_until(lambda before=before: len(cell.commands) > before + 3)
         assert cell.wait_until(lambda dropped=dropped: cell.count("dropped.server_silent") > dropped + 5)
@@ -163,6 +169,45 @@ def test_server_that_is_frozen_stops_the_arm_until_it_lives_again(cell: Cell) ->
         count = len(cell.commands)
         assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2)
     policy.cancel()
+
+
+def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(world, wait_until) -> None:
+    """The thread that reads the signs of life goes on before the executor does."""
+    cell = Cell(world, wait_until, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.3\nserver_timeout_s = 0.4"})
+    beats = cell.world.node.create_timer(0.03, cell.control.note_beat)
+    policy = cell.world.node.create_timer(0.03, cell.act)
+    assert cell.wait_until(lambda: len(cell.commands) > 5)
+
+    def freeze() -> None:
+        time.sleep(0.8)
+        cell.control.note_beat()
+
+    cell.world.run(freeze)
+    assert cell.wait_until(lambda: cell.control.needs_start == SERVER_SILENT), "it goes on by itself"
+    count = len(cell.commands)
+    assert not cell.wait_until(lambda: len(cell.commands) > count + 1, 0.4), "one command may have been on its way"
+    cell.world.permit(cell.control)
+    assert cell.wait_until(lambda: len(cell.commands) > count + 5)
+    beats.cancel()
+    policy.cancel()
+
+
+def test_a_silence_while_a_module_was_loading_is_no_stop(world) -> None:
+    """Imports may keep every thread of a process waiting; nothing moved meanwhile."""
+    control = world.module("control", replace={"action_timeout_s = 0.3": "server_timeout_s = 0.4"})
+    control.note_beat()
+    kind = control._kind
+
+    def load(node):
+        time.sleep(0.6)
+        control.note_beat()
+        return kind(node)
+
+    control._kind = load
+    world.run(control.trigger_configure)
+    assert not control.needs_start
+    world.run(lambda: None)
+    assert not control.needs_start
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -16,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointSample
 from roboneuron.gate.audit import AuditLog
-from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.ros.messages import to_action_message, to_joint_state
 from roboneuron.ros.qos import LATCHED, NEWEST
 
@@ -149,14 +150,14 @@ def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile
     assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Bool(data=True))
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
-    latch = EmergencyStopLatch(cell.world.state_directory / FILE_NAME, time.time_ns)
+    latch = EmergencyStopLatch(cell.world.state_directory / ESTOP_FILE, time.time_ns)
     assert cell.wait_until(lambda: "topic" in latch.read_state().who), "it stops first, and writes then"
 
 
 def reset(cell: Cell) -> None:
     """As another process does it."""
     folder = cell.world.state_directory
-    latch = EmergencyStopLatch(folder / FILE_NAME, time.time_ns)
+    latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
     latch.reset(who="test", role="admin", audit=AuditLog(folder / "audit.jsonl", time.time_ns))
 
 
@@ -172,18 +173,39 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     assert len(cell.commands) == 2
     stop.publish(Bool(data=False))
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without the latch"
-    (cell.world.state_directory / FILE_NAME).unlink()
+    (cell.world.state_directory / ESTOP_FILE).unlink()
     assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without a reset"
     reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("needs_new_start") == 1), "a release starts nothing"
+    assert len(cell.commands) == 2
+    assert cell.value("needs_start") == "the emergency stop"
+    cell.world.permit(cell.control)
+    cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 3)
+
+
+def test_whoever_asked_for_motion_before_a_stop_starts_none_after_it(cell: Cell) -> None:
+    """The request is late: the stop came, and was released, since the server had looked."""
+    from rclpy.parameter import Parameter
+
+    from roboneuron.modules.settings import START_PARAMETER
+
+    asked = [Parameter(START_PARAMETER, value=cell.control.stops)]
+    cell.world.run(lambda: cell.control.require_start("a reflex"))
+    answer = cell.world.run(lambda: cell.control.set_parameters(asked))[0]
+    assert not answer.successful
+    assert "a stop came since" in answer.reason
+    cell.actions.publish(to_action_message(FORWARD))
+    assert cell.wait_until(lambda: cell.dropped("needs_new_start") == 1)
+    assert not cell.commands
 
 
 def test_latch_file_stops_without_any_message_until_it_is_reset(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 1)
-    latch = cell.world.state_directory / FILE_NAME
+    latch = cell.world.state_directory / ESTOP_FILE
     latch.parent.mkdir(parents=True, exist_ok=True)
     latch.touch()
     assert cell.wait_until(lambda: len(cell.commands) == 2)
@@ -241,3 +263,26 @@ def test_a_command_that_was_ready_too_late_is_not_sent(cell: Cell, monkeypatch: 
     cell.actions.publish(to_action_message(FORWARD))
     assert cell.wait_until(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.51, -0.5])
+
+
+def test_limits_are_tightened_while_it_runs_and_never_widened(cell: Cell) -> None:
+    configured = cell.control.settings.config.limits
+
+    def set_limits(text: str) -> Any:
+        return cell.world.run(lambda: cell.control.set_parameters([Parameter("limits", value=text)]))[0]
+
+    slow = configured.model_copy(update={"velocity_fraction": 0.02})
+    assert set_limits(slow.model_dump_json()).successful
+    assert cell.value("limits") == "tightened"
+    for _ in range(20):
+        cell.actions.publish(to_action_message(FORWARD))
+        if cell.wait_until(lambda: cell.value("limited.velocity") != "", 0.1):
+            break
+    assert cell.value("limited.velocity") != ""
+    wide = configured.model_copy(update={"max_speed_m_s": configured.max_speed_m_s * 2})
+    refused = set_limits(wide.model_dump_json())
+    assert not refused.successful
+    assert "can only be tightened" in refused.reason
+    assert not set_limits('{"max_speed_m_s": "slow"}').successful
+    assert set_limits("").successful
+    assert cell.value("limits") == "configured"

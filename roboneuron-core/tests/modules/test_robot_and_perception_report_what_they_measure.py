@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract import JointCommand
+from roboneuron.errors import NotReadyError
 from roboneuron.modules import robot as robot_module
 from roboneuron.ros.messages import to_joint_trajectory
 from roboneuron.ros.qos import LATCHED
@@ -40,6 +42,22 @@ def test_joint_states_flow_at_the_configured_rate(world: Any, robot: Any, wait_u
 def test_driver_facts_are_reported(robot: Any, wait_until: Callable[..., bool], status_of: Any) -> None:
     assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
     assert status_of(robot)["gripper_open"] == "0.5"
+
+
+def test_driver_facts_are_forgotten_while_the_driver_cannot_read_the_robot(
+    robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert wait_until(lambda: "detail.mood" in status_of(robot))
+
+    def read() -> None:
+        raise NotReadyError("The joint states have ceased.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(robot.module.driver, "read", read)
+        assert wait_until(lambda: "detail.mood" not in status_of(robot))
+        assert "gripper_open" not in status_of(robot)
+        assert "have ceased" in status_of(robot)["error"]
+    assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
 
 
 def test_command_reaches_the_driver(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
@@ -144,6 +162,8 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
     publisher.publish(long_trajectory(3, 0.15))
     assert wait_until(lambda: len(driver.sent) == 3), "a module without a server has no server to wait for"
     for silences in (1, 2):
+        if robot.needs_start:
+            world.permit(robot)
         robot.note_beat()
         sent, holds = len(driver.sent), driver.holds
         assert wait_until(lambda: not robot.module._is_server_silent)
@@ -155,8 +175,33 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
         assert wait_until(lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n)
         assert not wait_until(lambda played=played: len(driver.sent) > played, 0.3)
         assert "no sign of life of the server" in status_of(robot)["note"]
+
+    def refuses() -> bool:
+        robot.note_beat()
+        publisher.publish(command(0.5))
+        return "dropped.needs_new_start" in status_of(robot)
+
+    played = len(driver.sent)
+    assert wait_until(refuses)
+    assert len(driver.sent) == played, "a server that lives again starts nothing"
+    world.permit(robot)
     robot.note_beat()
-    assert wait_until(lambda: not robot.module._is_server_silent)
+    publisher.publish(command(0.5))
+    assert wait_until(lambda: driver.position[0] == 0.5)
+
+
+def test_a_fault_of_the_robot_ends_what_was_asked_for_even_when_it_heals(
+    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver, fault = robot.module.driver, ["reflex"]
+    read = driver.read
+    monkeypatch.setattr(driver, "read", lambda: replace(read(), detail={"fault": fault[0]}))
+    publisher = world.publisher(JointTrajectory, "joint_trajectory")
+    assert wait_until(lambda: "reflex" in status_of(robot).get("needs_start", ""))
+    fault[0] = ""
+    publisher.publish(command(0.5))
+    assert wait_until(lambda: status_of(robot).get("dropped.needs_new_start") == "1")
+    world.permit(robot)
     publisher.publish(command(0.5))
     assert wait_until(lambda: driver.position[0] == 0.5)
 

@@ -71,7 +71,8 @@ SPECS = (
     _named(ControllerSpec, "drive", robot_kinds=("base",)),
 )
 REGISTRY = Registry(
-    plugins=(), all_offers=tuple(Offer(spec=s, distribution="rn-test", status=Status.READY) for s in SPECS)
+    plugins=(),
+    all_offers=tuple(Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY) for s in SPECS),
 )
 
 
@@ -115,9 +116,9 @@ def test_a_robot_alone_is_a_plan():
 LACKING = Registry(
     plugins=(),
     all_offers=tuple(
-        Offer(spec=s, distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.")
+        Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.")
         if not isinstance(s, RobotSpec)
-        else Offer(spec=s, distribution="rn-test", status=Status.READY)
+        else Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY)
         for s in SPECS
     ),
 )

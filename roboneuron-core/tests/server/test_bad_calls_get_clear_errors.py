@@ -29,6 +29,8 @@ CASES: list[tuple[str, dict[str, Any], str, str]] = [
     ("start_inference", {"instruction": 3}, "invalid_input", "Argument 'instruction' is 3"),
     ("start_inference", {"instruction": "   "}, "invalid_input", "The instruction is empty."),
     ("start_inference", {"instruction": "x" * 1001}, "invalid_input", "at most 1000 characters"),
+    ("start_inference", {"instruction": "go\0on"}, "invalid_input", "control character U+0000 at position 2"),
+    ("set_instruction", {"instruction": "go\x1b[2J"}, "invalid_input", "control character U+001B at position 2"),
     ("set_instruction", {"instruction": ""}, "invalid_input", "The instruction is empty."),
     ("set_instruction", {}, "invalid_input", "Argument 'instruction' is missing."),
     ("set_instruction", {"instruction": "go"}, "wrong_state", "inference is not running"),

@@ -96,6 +96,7 @@ def test_faults_are_told_and_survived(
         await agent.do("start_perception")
         assert (await agent.module("perception"))["pid"] != perception["pid"]
         await agent.until_health("inference", "ok")
+        assert not (await agent.module("inference"))["instruction"], "a module that ended needs a new start"
 
         estop = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--state", str(tmp_path / "state")]
         run = await anyio.run_process([*estop, "--reason", "smoke"], env=server_environment)

@@ -227,7 +227,7 @@ def test_a_feature_serves_the_transport_that_is_configured(make):
 @pytest.mark.parametrize(
     ("specs", "transport", "words"),
     [
-        ((), "http", r"'http'.* the package rn-serve-http brings it.* pip install ./plugins/rn-serve-http"),
+        ((), "http", r"'http'.* the package rn-standard brings it.* pip install -r requirements.txt"),
         ((), "pigeon", "There is no feature 'pigeon'"),
         ((spec(Odometer),), "odometer", "choose one of: stdio"),
         ((spec(BadTools, "x", transports=("bad",)),), "bad", "two tools called"),
@@ -266,7 +266,7 @@ def test_the_gate_is_what_a_feature_lends(make):
 
 def test_without_such_a_feature_there_is_no_gate_and_the_error_says_what_to_install(make):
     host = make(spec(Odometer)).host
-    with pytest.raises(StateError, match=r"No feature sends messages.*pip install ./plugins/rn-direct-path"):
+    with pytest.raises(StateError, match=r"No feature sends messages.*pip install -r requirements.txt"):
         host.gate  # noqa: B018
     assert not host.is_moving
     host.end_motion("Nobody is there.", 1.0)

@@ -35,8 +35,13 @@ PARTS = (
 REGISTRY = Registry(
     plugins=(),
     all_offers=(
-        Offer(spec=ARM, distribution="rn-test", status=Status.READY),
-        *(Offer(spec=s, distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.") for s in PARTS),
+        Offer(spec=ARM, plugin="rn-test", distribution="rn-test", status=Status.READY),
+        *(
+            Offer(
+                spec=s, plugin="rn-test", distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'."
+            )
+            for s in PARTS
+        ),
     ),
 )
 SECTIONS = {

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import time
 from typing import Any
 
 import anyio
@@ -10,10 +12,15 @@ import jsonschema
 import pytest
 from mcp import Client, types
 
+from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.results import module_status
+from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
+from roboneuron.supervisor.health import ModuleView, Report
 
 TOOLS = {
     *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction"),
@@ -100,3 +107,84 @@ def test_the_status_is_a_resource(application: Application) -> None:
                 await client.read_resource("roboneuron://secret")
 
     anyio.run(ask)
+
+
+def test_the_status_of_nothing_is_short_and_fits_its_whole_schema(application: Application) -> None:
+    status = call(application, "get_status").structured_content
+    assert status is not None
+    assert len(json.dumps(status)) < 1200, "it was 2.7 kB, mostly null"
+    assert all(value not in (None, "", {}, []) for module in status["modules"] for value in module.values())
+    tool = application.tools.get("get_status")
+    assert tool is not None
+    jsonschema.validate(status, tool.output_schema())
+
+
+def test_which_robot_it_is_and_whether_a_real_one_is_told_before_anything_runs(application: Application) -> None:
+    facts = {"name": "gantry", "driver": "simulated", "kind": "simulated"}
+    status = call(application, "get_status").structured_content
+    assert status is not None
+    assert status["robot"] == facts
+    assert str(application.server.instructions).startswith(
+        "RoboNeuron operates one simulated robot gantry (driver simulated). "
+    )
+    assert "simulated robot gantry (driver simulated)" in str(listing(application)["start_robot"].description)
+
+
+def test_a_driver_that_does_not_say_that_it_is_simulated_counts_as_real() -> None:
+    driver = DriverSpec(name="network", summary="By network.", target="nowhere:X")
+    robot = RobotSpec(name="arm", summary="An arm.", target="nowhere:profile", drivers=(driver,))
+    registry = fake_registry(robot)
+    for name, named in (("arm", "arm"), ("unknown", "unknown")):
+        config = Config.model_validate({"robot": {"name": name, "driver": "network"}})
+        application = Application(config, plugins=PluginCatalogue(discover=lambda disabled: registry))
+        try:
+            assert str(application.loop.robot_facts) == f"real robot {named} (driver network)"
+        finally:
+            application.close()
+
+
+def test_answers_of_what_acts_name_the_robot_and_those_of_what_reads_do_not(application: Application) -> None:
+    stopped = call(application, "stop_all").structured_content
+    assert stopped is not None
+    assert stopped["acts_on"] == "simulated robot gantry (driver simulated)"
+    assert "acts_on" not in (call(application, "get_status").structured_content or {})
+
+
+def test_instructions_name_only_tools_that_there_are(application: Application) -> None:
+    told = set(re.findall(r"\b[a-z]+(?:_[a-z]+)+\b", str(application.server.instructions)))
+    assert told <= TOOLS | {"get_camera_image"}
+    assert {"start_robot", "get_status", "stop_inference", "emergency_stop"} <= told
+    assert "start_all" not in told
+
+
+class Long(Result):
+    """A long text."""
+
+    text: str
+
+
+@pytest.mark.parametrize(("read_only", "refused"), [(True, True), (False, False)])
+def test_an_answer_too_long_to_read_is_refused_unless_something_was_done(
+    application: Application, read_only: bool, refused: bool
+) -> None:
+    async def handler(_: NoArguments, context: CallContext) -> Long:
+        return Long(text="x" * 200_000)
+
+    tool = Tool(
+        name="get_much", title="Much", description="Too much text for an agent.", arguments=NoArguments, result=Long,
+        handler=handler, read_only=read_only,
+    )  # fmt: skip
+    application.tools.add_all([tool])
+    answer = call(application, "get_much")
+    assert bool(answer.is_error) is refused
+    assert not refused or "Ask for less" in answer.content[0].text  # type: ignore[union-attr]
+
+
+def test_what_a_plugin_reports_is_cut_in_the_status() -> None:
+    long = {f"m{number:03}": "x" * 90 for number in range(500)}
+    report = Report(metrics=long, detail=long, note="y" * 90_000, received_s=time.monotonic())
+    view = ModuleView(kind="robot", phase="running", report=report)
+    told = module_status(view).model_dump(mode="json", exclude_unset=True)
+    assert told["metrics"] == told["detail"] == dict(list(long.items())[: len(told["metrics"])])
+    assert len(json.dumps(told)) < 20_000, "four of them stay below what an answer may hold"
+    assert told["note"].endswith("(90000 characters)")

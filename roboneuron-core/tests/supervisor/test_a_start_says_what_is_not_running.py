@@ -5,17 +5,22 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.errors import NotReadyError
+from roboneuron.errors import NotReadyError, StateError
+from roboneuron.planning import Plan
+from roboneuron.plugins.specs import DriverSpec, PerceptionSpec, RobotSpec
+from roboneuron.supervisor.slot import Phase
 from roboneuron.supervisor.supervisor import Supervisor
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 MakeConfig = Callable[..., Config]
 
 
+@pytest.mark.ros
+@pytest.mark.timeout(90)
 def test_a_backend_without_cameras_names_the_call_that_is_missing(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
@@ -27,6 +32,8 @@ def test_a_backend_without_cameras_names_the_call_that_is_missing(
     assert supervisor.view("inference").phase == "stopped"
 
 
+@pytest.mark.ros
+@pytest.mark.timeout(90)
 def test_what_is_being_started_is_waited_for(supervisor: Supervisor, make_config: MakeConfig) -> None:
     config = make_config(12.0, inference="never-ready", perception="slow-configure")
     starting = threading.Thread(target=lambda: supervisor.start("perception", config))
@@ -35,3 +42,40 @@ def test_what_is_being_started_is_waited_for(supervisor: Supervisor, make_config
         supervisor.start("inference", config)
     starting.join(30.0)
     assert supervisor.view("perception").phase == "running"
+
+
+def test_cameras_of_a_simulation_without_the_robot_name_the_call_at_once(
+    tmp_path: Path, make_config: MakeConfig
+) -> None:
+    driver = DriverSpec(name="simulated", summary="Simulates.", target="x:y")
+    plan = Plan(
+        robot=RobotSpec(name="fake", summary="Fake.", target="x:y", drivers=(driver,)),
+        driver=driver,
+        perception=PerceptionSpec(name="sim-camera", summary="Renders.", target="x:y", drivers=("simulated",)),
+    )
+    supervisor = Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned"))
+    started_s = time.monotonic()
+    try:
+        with pytest.raises(NotReadyError, match="come from the driver of the robot, which is not running") as caught:
+            supervisor.start("perception", make_config(60.0), plan=plan)
+    finally:
+        supervisor.close()
+    assert caught.value.hint == "Call start_robot first."
+    assert time.monotonic() - started_s < 20.0, "it was the whole time-out of 60 s"
+    assert supervisor.view("perception").phase == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("phase", "hint"), [("stopped", "Call it first."), ("starting", "wait for that"), ("stopping", "wait for that")]
+)
+def test_what_to_do_about_a_module_depends_on_what_happens_to_it(tmp_path: Path, phase: Phase, hint: str) -> None:
+    supervisor = Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned"))
+    try:
+        slot = supervisor.slot("perception")
+        slot.phase = phase
+        with pytest.raises(StateError, match=f"perception is not running .it is {phase}") as caught:
+            slot.check_running("Call it first.")
+        assert hint in caught.value.hint
+    finally:
+        slot.phase = "stopped"
+        supervisor.close()

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, cast
 
 from roboneuron.cli.terminal import add_verbosity, apply_verbosity
 from roboneuron.errors import PluginError
+from roboneuron.plugins.availability import WHOLE, install_command, package_of
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
 
@@ -42,6 +43,23 @@ COMMANDS: dict[str, Command] = {
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")
 """Words that stand before the actions of several commands."""
+
+
+PLUGINS_LIST = "plugins-list"
+"""The command that core answers itself where the package that does so in full is not installed."""
+
+
+def list_plugins(registry: Registry) -> str:
+    """What is installed, whether it can be used, and what to do about the rest."""
+    lines = []
+    for record in registry.plugins:
+        offers = ", ".join(f"{offer.spec.kind} {offer.spec.name}" for offer in record.offers)
+        lines.append(f"{record.name} {record.version}: {record.status}: {offers}".rstrip(": "))
+        lines += [f"  {record.reason}"] if record.reason else []
+    if not lines:
+        lines = [f"No plugins are installed. For a start: {install_command(WHOLE)}"]
+    package = package_of("command", PLUGINS_LIST)
+    return "\n".join([*lines, f"Options and details of this command: {install_command(package or '')}"])
 
 
 def spoken(name: str) -> str:

@@ -1,7 +1,7 @@
 """Stop all motion of every server and module that uses this state directory; works without any of them.
 
-The stop is latched in a file that every module looks at 50 times a second, and that outlives them all; each of several
-robots has one of its own. A person releases it, in a terminal, by `roboneuron estop --reset`; that is audited.
+The stop is latched in a file, which every module checks 50 times a second; each of several robots has its own. A person
+releases it in a terminal by `roboneuron estop --reset`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from roboneuron.gate.audit import AuditLog
     from roboneuron.gate.estop import EmergencyStopLatch
+    from roboneuron.gate.pin import ReleasePin
 
 _AGAIN_S = 0.1
 
@@ -28,6 +29,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("--reason", default="", help="why; kept in the latch and in the audit")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--reset", action="store_true", help="release it; look at the robot first")
+    action.add_argument("--set-pin", action="store_true", help="have a release ask for a PIN; an empty one removes it")
     action.add_argument("--status", action="store_true", help="only say whether it is latched (exit status 1 if it is)")
 
 
@@ -35,9 +37,9 @@ def run(arguments: Namespace) -> int:
     """Run `roboneuron estop`."""
     from roboneuron.config import read_state_directory, robot_folder
     from roboneuron.errors import ConfigurationError, RoboNeuronError
-    from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
-    from roboneuron.gate.audit import AuditLog, AuditRecord
-    from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+    from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+    from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+    from roboneuron.gate.pin import ReleasePin
     from roboneuron.ros.environment import state_directory
 
     configured = read_state_directory(arguments.config) if arguments.config else None
@@ -47,12 +49,14 @@ def run(arguments: Namespace) -> int:
         known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
         raise ConfigurationError(f"There is no robot {arguments.robot!r} in {of_robots}; there are: {known}.")
     who = f"{getpass.getuser()} at the command line"
+    if arguments.set_pin:
+        return _set_pin(ReleasePin(directory), AuditLog(directory / AUDIT_FILE, time.time_ns), who)
     done: set[Path] = set()
     status, failure = 0, None
     while folders := ({of_robots / arguments.robot} if arguments.robot else {directory, *of_robots.glob("*")}) - done:
         for folder in sorted(folders):  # a server that starts meanwhile makes more of them
-            latch = EmergencyStopLatch(folder / FILE_NAME, time.time_ns)
-            audit = AuditLog(folder / AUDIT_NAME, time.time_ns)
+            latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
+            audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
             if arguments.status:
                 state = latch.read_state()
                 cause = f" by {state.cause}" if state.cause else ""
@@ -79,20 +83,16 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     Raises:
         RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be written.
     """
-    from roboneuron.errors import RefusedError
+    from roboneuron.gate.pin import ReleasePin
     from roboneuron.gate.roles import ADMIN
 
     state = latch.read_state()
     if not state.latched:
         print(f"The emergency stop is not latched ({latch.path}).")
         return 0
-    if not sys.stdin.isatty():
-        raise RefusedError(
-            "The emergency stop is released by a person in a terminal, and this is none.",
-            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
-        )
+    _check_terminal("The emergency stop is released")
     print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
-    print("Look at the robot. A policy that still has an instruction goes on with it.")
+    print("Look at the robot. Nothing moves before somebody gives a new instruction or moves the arm.")
     try:
         answer = input("Release the emergency stop? [y/N] ")
     except EOFError:
@@ -100,10 +100,44 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     if answer.strip().lower() not in ("y", "yes"):
         print("It stays latched.")
         return 1
-    latch.reset(who=who, role=ADMIN, audit=audit)
+    pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
+    latch.reset(who=who, role=ADMIN, audit=audit, pin=pin)
     time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
     if latch.is_latched():
         print(f"It was latched again at once by {latch.read_state().who or 'somebody'}.", file=sys.stderr)
         return 1
     print("Released.")
+    return 0
+
+
+def _check_terminal(what: str) -> None:
+    """Raises RefusedError where nobody can be asked."""
+    from roboneuron.errors import RefusedError
+
+    if not sys.stdin.isatty():
+        raise RefusedError(
+            f"{what} by a person in a terminal, and this is none.",
+            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+        )
+
+
+def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
+    """Ask for the PIN of now and for the new one, twice.
+
+    Raises:
+        RefusedError: there is no terminal, or the PIN of now is wrong.
+        InvalidInputError: the new one is too short or too long.
+    """
+    from roboneuron.gate.audit import AuditRecord
+
+    _check_terminal("The PIN is set")
+    if pin.is_set:
+        pin.check(getpass.getpass("Present PIN: "), who=who, audit=audit)
+    new = getpass.getpass("New PIN (empty for none): ")
+    if getpass.getpass("Again: ") != new:
+        print("They differ; nothing was changed.", file=sys.stderr)
+        return 1
+    audit.write(AuditRecord(who=who, role="", tool="set_pin", verdict="allowed", reason="" if new else "removed"))
+    pin.set(new)
+    print(f"A release of the emergency stop asks for {'the PIN' if new else 'no PIN'} from now on ({pin.path}).")
     return 0

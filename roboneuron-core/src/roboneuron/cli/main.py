@@ -11,7 +11,9 @@ from roboneuron import __version__
 from roboneuron.cli.commands import (
     COMMANDS,
     GROUPS,
+    PLUGINS_LIST,
     installed_commands,
+    list_plugins,
     load_command,
     named_command,
     run_command,
@@ -59,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
+    if registry is not None and name == PLUGINS_LIST and not own and name not in installed_commands(registry):
+        print(list_plugins(registry))
+        return os.EX_OK
     try:
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does

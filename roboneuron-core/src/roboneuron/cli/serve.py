@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from argparse import ArgumentError, ArgumentParser, Namespace
+from argparse import SUPPRESS, Action, ArgumentError, ArgumentParser, Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from roboneuron.config import Config
     from roboneuron.plugins.registry import Registry
     from roboneuron.plugins.specs import FeatureSpec
+
+
+_AT_A_TERMINAL = (
+    "roboneuron serve waits for an MCP client on standard input, which is this terminal: an agent's client starts it "
+    "(docs: Connect an agent). By hand use `roboneuron run`, or serve with --transport http. Ctrl-C ends it."
+)
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -36,12 +42,27 @@ def configure(parser: ArgumentParser) -> None:
 
 def add_installed_flags(parser: ArgumentParser) -> None:
     """Add a flag for each feature of an installed plugin that the command line can switch on."""
+    from roboneuron.plugins.availability import known_names
+
     with quiet_streams():
         features = switched_features()
     for spec in features:
         told = f"{spec.switch} = true in [{spec.keys[0]}]: {spec.summary[:1].lower()}{spec.summary[1:]}"
         with suppress(ArgumentError):  # a feature called as one of the options above has no flag
             parser.add_argument(f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told)
+    for name in known_names("switch"):
+        with suppress(ArgumentError):  # it is there
+            parser.add_argument(f"--{name}", action=_Absent, nargs=0, help=SUPPRESS)
+
+
+class _Absent(Action):
+    """The flag of a feature that is known and cannot be used here."""
+
+    def __call__(self, *_: object) -> None:
+        """Raise ConfigurationError: says why, and what to install."""
+        from roboneuron.plugins.discovery import discover
+
+        discover().get("feature", self.dest)
 
 
 def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
@@ -60,9 +81,11 @@ def run(arguments: Namespace) -> int:
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
     gc.disable()  # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
-    from roboneuron.config import load_config
+    from roboneuron.config import STDIO, load_config
 
     config = with_server(load_config(arguments.config), arguments)
+    if config.server.transport == STDIO and os.isatty(wire[0]):
+        print(_AT_A_TERMINAL, file=sys.stderr)
     from roboneuron.server.serving import serve  # heavy
 
     serve(config, wire)

@@ -200,7 +200,9 @@ class Config(Section):
     limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     server: ServerConfig = ServerConfig()
-    disabled_plugins: tuple[str, ...] = Field(default=(), strict=False, description="distributions not to load")
+    disabled_plugins: tuple[str, ...] = Field(
+        default=(), strict=False, description="plugins not to load, by name; a distribution means all in it"
+    )
     features: tuple[str, ...] = Field(
         default=(), strict=False, description="features without which the server does not start"
     )

@@ -123,6 +123,9 @@ def read_state_directory(path: Path) -> str | None:
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        hint = f"Make one to edit: roboneuron config show > {path}. Or leave --config out."
+        raise ConfigurationError(f"There is no file {path.absolute()}.", hint=hint) from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path} cannot be read: {error}.") from error
 
@@ -138,6 +141,12 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
     for key in config.sections:
         if key not in owners:
             package = package_of("feature", key.replace("_", "-"))
+            silent = registry.not_loaded(package or "")
+            if package is not None and silent:
+                raise ConfigurationError(
+                    f"{source}: the section {key!r} belongs to a feature of {package}, which is not loaded: {silent}.",
+                    hint="Leave the section out, or see `roboneuron plugins list`.",
+                )
             if package is not None:
                 raise ConfigurationError(
                     f"{source}: the section {key!r} belongs to a feature of {package}, which is not installed.",
@@ -150,7 +159,7 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
         offer = owners[key]
         if offer.status is not Status.READY:
             raise ConfigurationError(
-                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of {offer.distribution}, "
+                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of {offer.plugin}, "
                 f"which cannot be used ({offer.status}): {offer.reason}"
             )
     for spec in {owners[key].spec.name: _spec(owners[key].spec) for key in config.sections}.values():
@@ -228,5 +237,6 @@ def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
     if key in moved:
         return f"{source}: the key {key!r} has moved: write {moved[key]}."
     known = sorted(valid)
-    meant = nearest(key.rpartition(".")[2], known, f"Valid keys: {', '.join(known)}.", likeness=0.5)
+    otherwise = f"Valid keys: {', '.join(known)}. Options of a plugin stand under [plugins.<name>]."
+    meant = nearest(key.rpartition(".")[2], known, otherwise, likeness=0.5)
     return f"{source}: unknown key {key!r}. {meant}"

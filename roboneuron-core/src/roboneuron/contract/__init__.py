@@ -12,7 +12,8 @@ from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import Ahead, CameraCalibration, Frame, JointSample, Observation, Pose
 from roboneuron.contract.profile import (
-    CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile, Workspace,
+    TOPIC_RULE, CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile,
+    Workspace, check_topic,
 )
 from roboneuron.contract.protocols import (
     Acceleration, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource, PostureInspector, RobotDriver,
@@ -20,10 +21,10 @@ from roboneuron.contract.protocols import (
 )
 
 __all__ = [
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "Acceleration", "Action",
+    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TOPIC_RULE", "Acceleration", "Action",
     "ActionChunk", "Ahead", "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile",
     "CollisionProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits",
     "JointSample", "Observation", "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity",
     "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
-    "check_action_vector", "check_rgb8", "frame_from_buffer",
+    "check_action_vector", "check_rgb8", "check_topic", "frame_from_buffer",
 ]

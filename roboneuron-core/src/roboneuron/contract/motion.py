@@ -84,7 +84,8 @@ class RobotState:
     Attributes:
         joints: all joints the driver reports, the gripper's included.
         gripper_open: 0 closed .. 1 open; None without a gripper.
-        detail: facts worth showing in get_status, as text (for a simulation: where the objects are).
+        detail: facts worth showing in get_status, as text (for a simulation: where the objects are). "fault" says what
+            has stopped the robot by itself; once it has been there, nothing moves before somebody asks for it anew.
     """
 
     joints: JointSample

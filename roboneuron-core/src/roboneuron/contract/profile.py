@@ -6,6 +6,7 @@ Arrays are kept as read-only copies.
 from __future__ import annotations
 
 import functools
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -14,6 +15,7 @@ import numpy as np
 
 from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import CameraCalibration
+from roboneuron.errors import InvalidInputError
 
 ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 """Distance from its target at which a revolute and a prismatic joint count as there."""
@@ -143,6 +145,21 @@ class CollisionProfile:
     tool_links: tuple[str, ...] = ()
 
 
+_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_LONGEST_TOPIC = 200
+TOPIC_RULE = (
+    'A name is words of letters, digits and underscores with "/" between them, such as /arm/joint_states; no word '
+    f"begins with a digit, and it has at most {_LONGEST_TOPIC} characters."
+)
+"""Source: https://design.ros2.org/articles/topic_and_service_names.html."""
+
+
+def check_topic(name: str) -> None:
+    """Raise InvalidInputError unless this may be the name of a topic, absolute or in a namespace."""
+    if len(name) > _LONGEST_TOPIC or not _TOPIC.fullmatch(name):
+        raise InvalidInputError(f"{name[:80]!a} is not a topic name.", hint=TOPIC_RULE, path="topic")
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
     """A ROS interface of the robot that the agent may use directly.
@@ -192,6 +209,8 @@ class RobotProfile:
         workspace: None when nothing but the joint limits bounds the TCP.
         collision: None when links and obstacles are not checked by default.
         endpoints: what the agent may use on the direct path.
+        own_topics: topics in its namespace that its drivers and simulations write, besides those of the contract and
+            those of `endpoints` that are read: nobody else is let publish them.
     """
 
     name: str
@@ -206,6 +225,7 @@ class RobotProfile:
     workspace: Workspace | None = None
     collision: CollisionProfile | None = None
     endpoints: tuple[Endpoint, ...] = ()
+    own_topics: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "home_rad")

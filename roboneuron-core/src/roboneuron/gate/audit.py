@@ -18,7 +18,7 @@ from typing import Any
 from roboneuron.errors import RefusedError
 from roboneuron.log_files import make_log_directory
 
-FILE_NAME = "audit.jsonl"
+AUDIT_FILE = "audit.jsonl"
 """Name of the current file in the state directory; rotated ones end in .1, .2 ..."""
 _MAX_ARGUMENTS = 4096
 log = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ class AuditRecord:
         tool, robot, endpoint: the tool that was called, and the endpoint of which robot it uses.
         arguments: as the client sent them, truncated.
         verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held" (control);
-            "latched" or "restored" (emergency stop).
+            "latched" or "restored" (emergency stop); "cut" (the line before is no record).
         rule, reason: the limit or rule that applied, and a sentence with the numbers.
         clamped: values that were changed, as "path: asked -> sent".
     """
@@ -48,6 +48,12 @@ class AuditRecord:
     reason: str = ""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
+
+
+_CUT = AuditRecord(
+    who="audit", role="", tool="", verdict="cut", rule="audit", reason="The line before was cut short and is no record."
+)
+"""Written after a line that a power failure or a killed process has left without an end."""
 
 
 class AuditLog:
@@ -117,11 +123,14 @@ class AuditLog:
         if os.fstat(self._descriptor).st_size + len(line) > self._max_bytes:
             self._rotate(len(line))
         if self._torn:
-            line = b"\n" + line
+            line = b"\n" + self._to_line(_CUT) + line
         written = os.write(self._descriptor, line)
-        self._torn = written != len(line)
-        if self._torn:
+        if written != len(line):
+            end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
+            if os.fstat(self._descriptor).st_size == end:  # nobody has appended to it since
+                os.ftruncate(self._descriptor, end - written)
             raise OSError(errno.ENOSPC, "only a part of the record was written")
+        self._torn = False
 
     def _open(self) -> None:
         """Open the current file; reopen it after it was rotated or deleted by another process."""
@@ -132,8 +141,10 @@ class AuditLog:
                     return
             self._close()
         make_log_directory(self.path.parent)
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         self._descriptor = os.open(self.path, flags, 0o640)
+        size = os.fstat(self._descriptor).st_size
+        self._torn = size > 0 and os.pread(self._descriptor, 1, size - 1) != b"\n"
 
     def _rotate(self, coming: int) -> None:
         """Rotate the files; the lock keeps two processes from doing so at once."""
@@ -144,7 +155,6 @@ class AuditLog:
                     newer = self.path if number == 1 else self.path.with_name(f"{self.path.name}.{number - 1}")
                     if newer.exists():
                         newer.replace(older)
-                self._torn = False
         self._open()
 
     def _to_line(self, record: AuditRecord) -> bytes:

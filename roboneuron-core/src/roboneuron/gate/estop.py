@@ -10,6 +10,7 @@ directory. Such a file is written again, and counted.
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -23,15 +24,17 @@ from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, has_role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
-FILE_NAME = "emergency_stop.latched"
+ESTOP_FILE = "emergency_stop.latched"
 """Name of the latch in the state directory."""
 RESET_SUFFIX = ".reset"
 """Added to the latch's name by a reset."""
-_MAX_BYTES = 4096
+_MAX_CHARACTERS = 16_384
+"""What is read of the file: JSON makes up to 12 characters of each of the 700 of a cause."""
 _AGAIN_S = 1.0
 """How often a latch that cannot be written is tried again."""
 
@@ -54,7 +57,7 @@ class LatchState:
     @property
     def cause(self) -> str:
         """Who and why in words; empty when nobody is known."""
-        return f"{self.who}: {self.reason}" if self.who else ""
+        return ": ".join(word for word in (self.who, self.reason) if word) if self.who else ""
 
 
 class EmergencyStopLatch:
@@ -76,9 +79,23 @@ class EmergencyStopLatch:
         self._held: LatchState | None = None
         self._seen: tuple[int, int] | None = None  # device and inode of the newest file that was seen
         self._tried_s = -_AGAIN_S
+        self._spare: list[int] = []
         self._lock = threading.Lock()
         self._stopping: list[Callable[[], object]] = []
         self._telling: list[Callable[[], object]] = []
+
+    def reserve(self) -> None:
+        """Keep a file handle for the latch's file: a process that has no other left still stops the others."""
+        with suppress(OSError):
+            self._spare.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
+
+    def release(self) -> bool:
+        """Keep it no longer; whether there was one."""
+        try:
+            os.close(self._spare.pop())
+        except IndexError:
+            return False
+        return True
 
     def on_press(self, listener: Callable[[], object]) -> None:
         """Have `listener` called when this process presses the stop, before anything is written or woken.
@@ -147,7 +164,7 @@ class EmergencyStopLatch:
     def _parse(self) -> LatchState:
         try:
             with self.path.open(encoding="utf-8", errors="replace") as file:
-                told = json.loads(file.read(_MAX_BYTES))
+                told = json.loads(file.read(_MAX_CHARACTERS))
             return LatchState(
                 latched=True,
                 who=str(told["who"])[:200],
@@ -155,7 +172,7 @@ class EmergencyStopLatch:
                 time_ns=int(told["time_ns"]),
                 restored=int(told.get("restored", 0)),
             )
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return LatchState(latched=True)
 
     def latch(self, *, who: str, reason: str, audit: AuditLog | None = None) -> LatchState:
@@ -212,6 +229,14 @@ class EmergencyStopLatch:
     def _create(self, state: LatchState) -> None:
         """Make the file with its cause; the latch holds without it, and the cause that came first is kept."""
         make_log_directory(self.path.parent)
+        is_reserved = self.release()
+        try:
+            self._make_file(state)
+        finally:
+            if is_reserved:
+                self.reserve()
+
+    def _make_file(self, state: LatchState) -> None:
         try:
             descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
         except FileExistsError:
@@ -227,19 +252,22 @@ class EmergencyStopLatch:
         finally:
             os.close(descriptor)
 
-    def reset(self, *, who: str, role: str, audit: AuditLog) -> None:
+    def reset(self, *, who: str, role: str, audit: AuditLog, pin: str = "") -> None:
         """Allow motion again; nothing moves by itself.
 
         Args:
             who: which client.
             role: must be "admin".
             audit: gets the record first; without it there is no reset.
+            pin: what a person has typed, where one is set.
 
         Raises:
-            RefusedError: the role has no right to, or the audit cannot be written.
+            RefusedError: the role has no right to, the PIN is wrong, or the audit cannot be written.
             StateError: the latch cannot be removed; it stays latched.
         """
         rule = "" if has_role(role, ADMIN) else "role"
+        if not rule:
+            ReleasePin(self.path.parent).check(pin, who=who, audit=audit)
         verdict = "refused" if rule else "allowed"
         audit.write(AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule))
         if rule:
@@ -250,7 +278,7 @@ class EmergencyStopLatch:
                     self._create(self._held or LatchState(latched=True))  # others learn of the reset by the file only
                 with suppress(FileNotFoundError):
                     if stat.S_ISDIR(os.lstat(self.path).st_mode):  # the next reset could not replace it
-                        raise IsADirectoryError(0, "it is a directory")
+                        raise IsADirectoryError(errno.EISDIR, "it is a directory")
                     os.replace(self.path, self._reset_path)
                     _sync(self.path.parent)
             except OSError as error:

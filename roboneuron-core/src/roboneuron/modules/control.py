@@ -12,14 +12,25 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
-from roboneuron.gate.motion import collision_of
+from roboneuron.gate.motion import check_tighter, collision_of, motion_rules
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.motion import JointWatch, MotionGuard
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import FIRST_STEP_S, FUTURE_S, HOLD_DURATION_S, HOLD_SHARE, SHORTEST_STEP_S
+from roboneuron.modules.settings import (
+    FIRST_STEP_S,
+    FOLLOWING_NOTE,
+    FUTURE_S,
+    HOLD_DURATION_S,
+    HOLD_SHARE,
+    LIMITS_PARAMETER,
+    NEEDS_NEW_START,
+    SERVER_SILENT,
+    SHORTEST_STEP_S,
+)
 from roboneuron.planning import check_plan
 from roboneuron.ros.messages import (
     commands_from_message,
@@ -68,8 +79,11 @@ class ControlModule(Module):
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
         immediate = config.command == "joint_state"
+        tightened = node.settings.tightened
+        if tightened is not None:
+            check_tighter(tightened, self.config.limits)
         self._guard = MotionGuard(
-            self.config.limits,
+            tightened or self.config.limits,
             self._profile,
             self._controller,
             self.status,
@@ -78,6 +92,8 @@ class ControlModule(Module):
             longest_s=self.config.robot.server_timeout_s,  # a longer command would outlive a frozen control
         )
         node.resources.callback(self._guard.close)
+        node.resources.callback(node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten))
+        self.status.set_value("limits", "configured" if tightened is None else "tightened")
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
         commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
         self._command = node.advertise(*commands)
@@ -104,6 +120,11 @@ class ControlModule(Module):
         if latched and self._active:
             self._hold("emergency_stop", "The emergency stop is latched.")
 
+    def forget(self) -> None:
+        """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
+        if self._active:
+            self._hold(NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}.")
+
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
         """Go on from where a command of the control before this one, sent then [monotonic s], has sent the arm.
 
@@ -116,6 +137,30 @@ class ControlModule(Module):
             self._guard.follow(command, joints, sent_s)
             self._action_s, self._holding = sent_s, False
         return command
+
+    def _limits_of(self, text: str) -> LimitsConfig:
+        """Raises ConfigurationError unless they fit the robot and are no wider than the configured ones."""
+        if not text:
+            return self.config.limits
+        try:
+            limits = LimitsConfig.model_validate_json(text)
+        except ValueError as error:
+            raise ConfigurationError(f"The limits are no valid [limits]: {error}") from error
+        check_tighter(limits, self.config.limits)
+        motion_rules(limits, self._profile)
+        return limits
+
+    def _why_not_tighten(self, text: str) -> str:
+        try:
+            self._limits_of(text)
+        except ConfigurationError as error:
+            return error.message
+        return ""
+
+    def _tighten(self, text: str) -> None:
+        """Move within other limits from the next command on."""
+        self._guard.use(self._limits_of(text))
+        self.status.set_value("limits", "tightened" if text else "configured")
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
@@ -165,6 +210,8 @@ class ControlModule(Module):
             return "emergency_stop"
         if self._is_server_silent():
             return "server_silent"
+        if self.node.needs_start:
+            return NEEDS_NEW_START
         if age_s > self._limits.action_timeout_s:
             return "stale_action"
         if age_s < -FUTURE_S:
@@ -187,7 +234,9 @@ class ControlModule(Module):
         if joints is None:  # excluded by `_why_not`
             return
         now_s = time.monotonic()
-        since_s = now_s - self._action_s
+        # By sending and by arrival: actions that were held up arrive together, and were not meant to follow each other.
+        spacing_s = (source_ns - self._action_ns) / 1e9 if self._action_ns else 0.0
+        since_s = max(now_s - self._action_s, min(spacing_s, FIRST_STEP_S))
         step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else FIRST_STEP_S
         self._action_ns = source_ns
         answer = self._controller.compute(action, joints, step_s)
@@ -214,11 +263,13 @@ class ControlModule(Module):
             return
         self._command.publish(message)
         self.handover.note_sent("command")
+        if self._holding:
+            self.status.changed.set()  # at once: from now on a hold will come
         self._is_sent = True
         self._holding = self._hold_is_due = False
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
-        self.status.set(note="following actions")
+        self.status.set(note=FOLLOWING_NOTE)
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
 
@@ -227,6 +278,8 @@ class ControlModule(Module):
         if not self._active or self._holding or not self._is_ours_now():
             return
         if self._is_server_silent():
+            if not self.node.needs_start:
+                self.node.require_start(SERVER_SILENT)
             self._hold("server_silent", f"No sign of life of the server for {self._limits.server_timeout_s:g} s.")
         elif time.monotonic() - self._action_s > self._limits.action_timeout_s * HOLD_SHARE:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
@@ -250,8 +303,9 @@ class ControlModule(Module):
         joints = self._watched.joints
         if joints is None or self._are_joints_stale():
             self._hold_is_due = True
-            return
-        self._command_hold(joints)
+        else:
+            self._command_hold(joints)
+        self.status.changed.set()
 
     def _is_ours_now(self) -> bool:
         return self.handover.is_ours(time.time_ns())

@@ -119,6 +119,7 @@ class InferenceModule(Module):
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
         self.executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
+        self._is_blind = False
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         node.resources.callback(self._worker.stop, give_up=self._give_up)
         self._instruction = Instruction(node, config.instruction, self.executor.begin_epoch)
@@ -141,9 +142,13 @@ class InferenceModule(Module):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
 
     def emergency_stop(self, latched: bool) -> None:
-        """Forget what was planned; after a release, act on what is captured from then on."""
+        """Forget what was planned; after a release, a new instruction is acted on by what is captured from then on."""
         self._not_before_ns = self.node.now_ns()
         self.executor.begin_epoch()
+
+    def forget(self) -> None:
+        """See `Module.forget`: after a stop, the policy waits for a new instruction."""
+        self._instruction.forget()
 
     def _give_up(self) -> None:
         """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
@@ -182,7 +187,8 @@ class InferenceModule(Module):
             return
         count, instruction = self._instruction.count, self._instruction.text
         if not instruction:
-            self.status.set(note="waiting for an instruction")
+            since = f" after a stop ({self.node.needs_start})" if self.node.needs_start else ""
+            self.status.set(note=f"waiting for an instruction{since}")
             self.status.set_ready()
             return
         prediction = self.executor.begin(replace(observation, instruction=instruction), captured_ns)
@@ -213,10 +219,14 @@ class InferenceModule(Module):
                 self.status.set_waiting(missing)
             elif self._inputs.silence_s() > SILENCE_S:
                 what, source = _SOURCES[self._inputs.unusable()]
+                self._is_blind = True
                 raise NotReadyError(
                     f"No usable {what} for {self._inputs.silence_s():.1f} s; actions have stopped.",
                     hint=f"Is {source} running, and is its clock right?",
                 )
+        elif self._is_blind:  # without an instruction no action follows that would say that all is well
+            self._is_blind = False
+            self.status.clear_error()
         return observation
 
     def _predict(self, prediction: Prediction) -> ActionChunk:

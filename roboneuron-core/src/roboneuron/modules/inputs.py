@@ -22,7 +22,7 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.modules.settings import FUTURE_S
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.status import StatusWriter
 from roboneuron.ros.messages import (
     frame_from_message,
     intrinsics_from_camera_info,
@@ -98,7 +98,7 @@ class NewestInputs:
         needs_state: bool,
         gripper: GripperProfile | None,
         max_age_s: float,
-        status: ModuleStatus,
+        status: StatusWriter,
         now_ns: Callable[[], int],
     ) -> None:
         self.cameras = dict(cameras)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.module import ModuleNode
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MAX_INSTRUCTION_LENGTH
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, instruction_problem
 
 
 class Instruction:
@@ -25,24 +25,29 @@ class Instruction:
         on_change: called after each change, on the executor's thread.
 
         Raises:
-            InvalidInputError: the first one is too long.
+            InvalidInputError: the first one is none.
         """
+        self._node = node
         self._status = node.status
         self._on_change = on_change
         self.text = ""
         self.count = 0
         self.is_new = True
         self._actions = 0
-        if reason := _refusal(text):
+        if reason := instruction_problem(text):
             raise InvalidInputError(reason)
-        node.resources.callback(node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, _refusal))
-        self._take(text)
+        node.resources.callback(node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, self._refusal))
+        self._take("" if node.needs_start else text)  # a stop while the backend was loaded
 
     def restart(self) -> None:
         """Begin with the same instruction again."""
         self._actions = 0
         self.is_new = True
         self._status.set(actions_for_instruction=0)
+
+    def forget(self) -> None:
+        """A stop has come: motion needs a new instruction."""
+        self._take("")
 
     def note_action(self) -> None:
         """Count one published action."""
@@ -52,6 +57,9 @@ class Instruction:
     def _take(self, text: str) -> None:
         """Begin with a new instruction; an old failure no longer counts."""
         self.text = text.strip()
+        if self.text:
+            self._node.needs_start = ""
+            self._status.set(needs_start="")
         self.count += 1
         self.restart()
         self._on_change()
@@ -59,8 +67,7 @@ class Instruction:
         self._status.set(instruction=self.text, instruction_count=self.count)
         self._status.changed.set()
 
-
-def _refusal(text: str) -> str:
-    if len(text) <= MAX_INSTRUCTION_LENGTH:
-        return ""
-    return f"instruction is {len(text)} characters long, at most {MAX_INSTRUCTION_LENGTH}"
+    def _refusal(self, text: str) -> str:
+        if text.strip() and self._node.stopped:
+            return "the emergency stop is latched"
+        return instruction_problem(text)

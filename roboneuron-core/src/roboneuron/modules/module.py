@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -18,13 +19,19 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
-from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.modules.module_host import Handover, add_parameter, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
-from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleSettings
-from roboneuron.modules.status import ModuleStatus, StatusReporter
+from roboneuron.modules.settings import (
+    EMERGENCY_STOP,
+    EMERGENCY_STOP_TOPIC,
+    SERVER_SILENT,
+    START_PARAMETER,
+    ModuleSettings,
+)
+from roboneuron.modules.status import StatusReporter, StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
@@ -63,6 +70,9 @@ class Module(ABC):
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
         """The latch changed; modules that move the robot override this."""
 
+    def forget(self) -> None:  # noqa: B027
+        """A stop has come: what was asked for before it is not carried out any more."""
+
 
 class ModuleNode(LifecycleNode):  # type: ignore[misc]
     """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
@@ -70,6 +80,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     Attributes:
         module: from `configure` to cleanup, else None.
         stopped: whether the emergency stop is latched.
+        stops: stops seen so far.
+        needs_start: which of them forbids motion until somebody asks for it anew; empty when none does.
 
     Implements `ModuleHost`, which describes the other attributes.
     """
@@ -77,8 +89,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
         super().__init__(settings.node_name, namespace=settings.config.namespace)
         self.settings = settings
-        self.status = ModuleStatus(settings.status_name)
+        self.status = StatusWriter(settings.status_name)
         self.stopped = False
+        self.stops, self.needs_start = 0, ""
         self.module: Module | None = None
         self.resources = ExitStack()
         self.handover = Handover(self.status)
@@ -88,15 +101,21 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
-        self._latch = EmergencyStopLatch(Path(settings.state_directory) / FILE_NAME, time.time_ns)
-        self._told_to_stop = False
+        self._latch = EmergencyStopLatch(Path(settings.state_directory) / ESTOP_FILE, time.time_ns)
+        self._told_to_stop = self._is_server_silent = False
         self._outputs: dict[str, LifecyclePublisher] = {}
         self._listeners: dict[str, int] = {}
         self._beat_s: float | None = None
+        robot, control = settings.config.robot, settings.config.control
+        self._silence_s = min(section.server_timeout_s for section in (robot, control) if section is not None)
+        self._silences = self._silences_seen = 0
         self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
         self._warm_up = self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
+        add_parameter(self, START_PARAMETER, 0, self._permit, self._why_not_permit)
+        if settings.needs_start:
+            self.require_start(settings.needs_start)
         self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
             join(self, reference)
@@ -125,6 +144,28 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
 
     add_parameter = add_parameter
+
+    def require_start(self, reason: str) -> None:
+        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the stop; from any thread."""
+        if self.settings.kind == "perception":
+            return
+        self.needs_start = reason
+        self.stops += 1
+        self.status.set(needs_start=reason, stops=self.stops)
+        self.status.changed.set()
+        if self.module is not None:
+            self.module.forget()
+
+    def _why_not_permit(self, stops: int) -> str:
+        if self.stopped:
+            return "the emergency stop is latched"
+        return "" if stops == self.stops else "a stop came since motion was asked for"
+
+    def _permit(self, stops: int) -> None:
+        """Somebody has asked for motion after the newest stop."""
+        self.needs_start = ""
+        self.status.set(needs_start="")
+        self.status.changed.set()
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period until cleanup."""
@@ -163,11 +204,20 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
 
     def note_beat(self, data: bytes = b"\n") -> None:
         """The server has shown that it lives, or announced a request; called from the thread that reads stdin."""
-        self._beat_s = time.monotonic()
+        now_s = time.monotonic()
+        if self._beat_s is not None and now_s - self._beat_s > self._silence_s:
+            self._silences += 1  # first: the executor never sees this silence over and not counted
+        self._beat_s = now_s
         self._requests.announcements.feed(data)
 
     def server_silence_s(self) -> float:
-        """Time since the server last showed that it lives; 0 for a module that was started without one."""
+        """Time without a sign of life of the server; 0 for a module that was started without one.
+
+        A silence that has just ended is infinite until the executor has looked at it: when this process itself was
+        frozen, the thread that reads the signs of life may be the first to go on.
+        """
+        if self._silences != self._silences_seen:
+            return math.inf
         beat_s = self._beat_s
         return 0.0 if beat_s is None else time.monotonic() - beat_s
 
@@ -198,6 +248,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             gc.freeze()
             for extend in self.on_configured:
                 extend(self.module)
+            self._silences_seen = self._silences  # loading may keep every thread waiting, and nothing moved meanwhile
         except Exception:
             try:
                 self._release()
@@ -241,12 +292,21 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _on_loop(self) -> None:
         self.status.tick_loop()
         self._check_stop()
+        self._check_server()
         self._open_ports()
         for topic, publisher in self._outputs.items():
             count = publisher.get_subscription_count()
             if count != self._listeners.get(topic):
                 self._listeners[topic] = count
                 self.status.set_value(f"listeners.{topic}", count)
+
+    def _check_server(self) -> None:
+        """Nobody could have stopped the robot meanwhile: what was asked for before counts no more."""
+        silences = self._silences
+        is_silent = self.server_silence_s() > self._silence_s
+        if is_silent and not self._is_server_silent:
+            self.require_start(SERVER_SILENT)
+        self._is_server_silent, self._silences_seen = is_silent, silences
 
     def _open_ports(self) -> None:
         """In shadow, send something to all modules: the first message to a process opens a port, which may take long.
@@ -286,6 +346,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         if stopped == self.stopped:
             return
         self.stopped = stopped
+        if stopped:
+            self.require_start(EMERGENCY_STOP)
         if self.module is not None:
             self.module.emergency_stop(self.stopped)
         self.status.set(emergency_stop=self.stopped)

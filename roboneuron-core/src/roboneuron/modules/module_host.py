@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from roboneuron.contract import ActionChunk, Hold, JointCommand, Pose
 from roboneuron.modules.execution import Bounds, ChunkExecutor
 from roboneuron.modules.settings import ModuleSettings
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import BackendSpec
 
@@ -37,7 +37,7 @@ class Handover:
 
     not_before_ns = 0
 
-    def __init__(self, status: ModuleStatus) -> None:
+    def __init__(self, status: StatusWriter) -> None:
         """Args:
         status: where to report.
         """
@@ -83,7 +83,7 @@ class ModuleHost(Protocol):
     """
 
     settings: ModuleSettings
-    status: ModuleStatus
+    status: StatusWriter
     resources: ExitStack
     handover: Handover
     make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor]
@@ -100,6 +100,10 @@ class ModuleHost(Protocol):
             take: called with each later value, on the executor's thread.
             refuse: says what is wrong with a value; empty for nothing.
         """
+        ...
+
+    def require_start(self, reason: str) -> None:
+        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew. From any thread."""
         ...
 
 

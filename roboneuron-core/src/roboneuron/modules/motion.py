@@ -15,10 +15,10 @@ from roboneuron.contract import Controller, Hold, JointCommand, JointSample, Pos
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
-from roboneuron.gate.audit import FILE_NAME, AuditLog, AuditRecord
+from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
 from roboneuron.gate.motion import Motion, MotionLimiter, Verdict, inspector_of, motion_rules
 from roboneuron.gate.motion.command import pick
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.status import StatusWriter
 
 _RECORD_PERIOD_S = 1.0
 """A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a second."""
@@ -118,7 +118,7 @@ class MotionGuard:
         limits: LimitsConfig,
         profile: RobotProfile,
         controller: Controller,
-        status: ModuleStatus,
+        status: StatusWriter,
         state: Path,
         *,
         immediate: bool,
@@ -136,13 +136,17 @@ class MotionGuard:
             immediate=immediate,
             longest_s=longest_s,
         )
-        self._robot = profile.name
+        self._profile = profile
         self._status = status
         self._counts: Counter[str] = Counter()
-        self._audit = AuditLog(state / FILE_NAME, time_ns)
+        self._audit = AuditLog(state / AUDIT_FILE, time_ns)
         self.follow, self.rest, self.close = self._limiter.follow, self._limiter.rest, self._audit.close
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
+
+    def use(self, limits: LimitsConfig) -> None:
+        """Apply other limits from the next command on. Raises ConfigurationError as `motion_rules`."""
+        self._limiter.use(motion_rules(limits, self._profile))
 
     def judge(self, command: JointCommand, joints: JointSample, now_s: float) -> JointCommand | Hold | None:
         """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for nothing.
@@ -194,7 +198,7 @@ class MotionGuard:
             role="",
             tool="action",
             verdict=outcome,
-            robot=self._robot,
+            robot=self._profile.name,
             endpoint="action",
             rule=", ".join(verdict.acted) or (verdict.command.code if isinstance(verdict.command, Hold) else ""),
             reason=verdict.reason,

@@ -29,6 +29,8 @@ class StatusReport:
         rate_hz, latency_ms, latency_p99_ms, age_ms: of the module's output.
         dropped, dropped_by: inputs not acted on, and their number by reason.
         emergency_stop: whether the module itself is latched.
+        stops: stops that this process has seen: emergency stops, faults of the robot, a silent server.
+        needs_start: which of them keeps the module still until somebody asks for motion; empty otherwise.
         detail: facts of the robot or simulator.
         metrics: whatever else the module reports.
     """
@@ -55,6 +57,8 @@ class StatusReport:
     actions_for_instruction: int = 0
     note: str = ""
     emergency_stop: bool | None = None
+    stops: int = 0
+    needs_start: str = ""
     dropped_by: Mapping[str, int] = field(default_factory=dict)
     detail: Mapping[str, str] = field(default_factory=dict)
     metrics: Mapping[str, str] = field(default_factory=dict)

@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from roboneuron.modules.settings import FOREIGN_REQUEST
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.status import StatusWriter
 
 log = logging.getLogger(__name__)
 _LOG_PERIOD_S = 1.0
@@ -102,7 +102,7 @@ class Announcements:
 class RequestGuard:
     """Stands before a node's services; everything happens on the executor's thread, except `Announcements.feed`."""
 
-    def __init__(self, node: Node, status: ModuleStatus) -> None:
+    def __init__(self, node: Node, status: StatusWriter) -> None:
         self.announcements = Announcements()
         self._node = node
         self._status = status

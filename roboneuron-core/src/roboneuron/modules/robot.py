@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from typing import Any, cast
 
 from sensor_msgs.msg import JointState
@@ -13,7 +14,7 @@ from roboneuron.contract import JointCommand, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module import Module, ModuleNode
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import FUTURE_S
+from roboneuron.modules.settings import FAULT_DETAIL, FUTURE_S, GRIPPER_COMMANDED, NEEDS_NEW_START
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.ros.host import NodeTopics
@@ -22,6 +23,8 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
 _WATCH_S = 0.1
+_GRIPPER_TOLD = 0.02
+"""A change of the commanded opening that is reported at once."""
 
 
 class RobotModule(Module):
@@ -35,7 +38,7 @@ class RobotModule(Module):
         """Connect to the robot or start the simulation; it holds where it is."""
         super().__init__(node)
         self._active = False
-        self._is_server_silent = False
+        self._is_server_silent = self._has_fault = False
         self._next_state_s = 0.0
         self._detail_s = 0.0
         self._pending: list[JointCommand] = []
@@ -43,6 +46,7 @@ class RobotModule(Module):
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
+        self._opening = -1.0
         robot = self.registry.get(RobotSpec, self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
         if spec is None:
@@ -51,6 +55,7 @@ class RobotModule(Module):
                 f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers are {names}."
             )
         profile = load_profile(self.registry, robot.name)
+        self._gripper = profile.gripper
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)
@@ -89,6 +94,10 @@ class RobotModule(Module):
         if latched:
             self._drop_and_hold()
 
+    def forget(self) -> None:
+        """Drop what was to be executed; see `Module.forget`. Commands are refused until somebody asks for motion."""
+        self._drop()
+
     def _watch(self) -> None:
         """Hold while the server is silent: nobody could stop what is being executed, however long it lasts."""
         bound_s = self.config.robot.server_timeout_s
@@ -103,7 +112,9 @@ class RobotModule(Module):
 
     def _must_hold(self) -> str:
         """Word for what forbids every motion now; empty when nothing does."""
-        return "emergency_stop" if self.node.stopped else "server_silent" if self._is_server_silent else ""
+        if self.node.stopped or self._is_server_silent:
+            return "emergency_stop" if self.node.stopped else "server_silent"
+        return NEEDS_NEW_START if self.node.needs_start else ""
 
     def _drop_and_hold(self) -> None:
         self._drop()
@@ -152,6 +163,8 @@ class RobotModule(Module):
             command = plan.pop(0)
             began_s = time.monotonic()
             is_late = began_s - self._due_s > self.config.robot.command_timeout_s
+            # A command that is played late begins where the arm stands; in its own time the arm would catch up.
+            command = replace(command, duration_s=command.duration_s + max(0.0, began_s - self._due_s))
             if is_late:  # this process was frozen, or the driver did not return: what is left of the plan is past
                 self._pending = []
         if is_late:
@@ -167,6 +180,7 @@ class RobotModule(Module):
         if self._must_hold():  # since it was taken: the hold of that came before the command
             self.driver.hold()
             return
+        self._note_gripper(sent)
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
         self.status.set(note="moving")
@@ -176,6 +190,17 @@ class RobotModule(Module):
             if plan and self._pending is plan:
                 self._due_s = began_s + sent.duration_s
                 self._arrived.wait_for(lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s)
+
+    def _note_gripper(self, sent: JointCommand) -> None:
+        """Report the opening that was last commanded: it holds an object, and blocked fingers do not tell it."""
+        gripper = self._gripper
+        if gripper is None or gripper.joint not in sent.names:
+            return
+        opening = gripper.to_opening(float(sent.position[sent.names.index(gripper.joint)]))
+        self.status.set_value(GRIPPER_COMMANDED, opening)
+        if abs(opening - self._opening) > _GRIPPER_TOLD:
+            self._opening = opening
+            self.status.changed.set()
 
     def _hold_when_silent(self) -> None:
         if self._moving and time.monotonic() - self._command_s > self.config.robot.command_timeout_s:
@@ -190,13 +215,25 @@ class RobotModule(Module):
         self._next_state_s = max(self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05)
         if stop.is_set():
             return
-        state = self.driver.read()
+        try:
+            state = self.driver.read()
+        except Exception:
+            self.status.forget_details("gripper_open")  # what was true at the last state may not be any more
+            self._detail_s = 0.0
+            raise
         self._states.publish(to_joint_state(state.joints))
         self.status.output.tick()
         self.status.set_ready()
+        self._check_fault(state.detail.get(FAULT_DETAIL, ""))
         now_s = time.monotonic()
         if now_s - self._detail_s > _DETAIL_PERIOD_S:
             self._detail_s = now_s
             self.status.set_details(state.detail)
             if state.gripper_open is not None:
                 self.status.set_value("gripper_open", float(state.gripper_open))
+
+    def _check_fault(self, fault: str) -> None:
+        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing in motion."""
+        if fault and not self._has_fault:
+            self.node.require_start(f"a fault of the robot: {fault}")
+        self._has_fault = bool(fault)

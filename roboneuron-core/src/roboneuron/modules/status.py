@@ -97,7 +97,7 @@ class Counts:
             return dict(self._counts)
 
 
-class ModuleStatus:
+class StatusWriter:
     """Everything a module reports; every method may be called from any thread."""
 
     def __init__(self, name: str) -> None:
@@ -170,6 +170,13 @@ class ModuleStatus:
         with self._lock:
             self._detail.update(details)
 
+    def forget_details(self, *values: str) -> None:
+        """Report no facts of the robot any more, nor the metrics `values`: nobody knows them."""
+        with self._lock:
+            self._detail.clear()
+            for key in values:
+                self._metrics.pop(key, None)
+
     def tick_work(self, worker: str, limit_s: float) -> None:
         """A thread gets on; it is stalled when it does not say so again within `limit_s`."""
         with self._lock:
@@ -223,9 +230,9 @@ class ModuleStatus:
 
 
 class StatusReporter:
-    """Publishes a ModuleStatus every STATUS_PERIOD_S, and at once after a change."""
+    """Publishes a StatusWriter every STATUS_PERIOD_S, and at once after a change."""
 
-    def __init__(self, node: Node, status: ModuleStatus) -> None:
+    def __init__(self, node: Node, status: StatusWriter) -> None:
         self._node = node
         self._status = status
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, STATUS)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from roboneuron.errors import RoboNeuronError
-from roboneuron.modules.status import ModuleStatus
+from roboneuron.modules.status import StatusWriter
 
 _RETRY_S = 0.05
 _GIVE_UP_S = 0.1
@@ -28,7 +28,7 @@ class Worker:
     """
 
     def __init__(
-        self, name: str, step: Callable[[threading.Event], None], status: ModuleStatus, *, limit_s: float = LIMIT_S
+        self, name: str, step: Callable[[threading.Event], None], status: StatusWriter, *, limit_s: float = LIMIT_S
     ) -> None:
         self._name = name
         self._step = step

@@ -39,8 +39,8 @@ def explain(absent: Iterable[Requirement]) -> str:
     return f"Needs {modules}, not installed; run: {commands}"
 
 
-START = ("rn-robot-fr3", "rn-controller-urdf", "rn-backend-servo")
-"""What the embedded default configuration needs."""
+WHOLE = "roboneuron"
+"""The distribution that needs all of what the embedded default configuration names; requirements.txt installs it."""
 
 
 def package_of(kind: str, name: str) -> str | None:
@@ -49,9 +49,10 @@ def package_of(kind: str, name: str) -> str | None:
     return package if isinstance(package, str) else None
 
 
-def known_names() -> dict[str, str]:
-    """Package by name of an offer, of any kind."""
-    return {name: package for kind, table in _table().items() if kind != "needs" for name, package in table.items()}
+def known_names(kind: str = "") -> dict[str, str]:
+    """Package by name of an offer, of any kind or of one; "switch": features that `serve` has a flag for."""
+    kinds = {kind} if kind else _table().keys() - {"needs", "switch"}
+    return {name: package for of in sorted(kinds) for name, package in _table()[of].items()}
 
 
 def install_command(*packages: str) -> str:
@@ -60,7 +61,9 @@ def install_command(*packages: str) -> str:
     wanted = dict.fromkeys(packages)
     for package in packages:
         wanted |= dict.fromkeys(needs.get(package.partition("[")[0], ()))
-    words = [f'"./plugins/{package}"' if "[" in package else f"./plugins/{package}" for package in wanted]
+    common = {WHOLE, *needs[WHOLE]}
+    words = ["-r requirements.txt"] if common & set(wanted) else []
+    words += [f'"./plugins/{name}"' if "[" in name else f"./plugins/{name}" for name in wanted if name not in common]
     return f"pip install {' '.join(words)} (in RoboNeuron's source folder)"
 
 

@@ -43,23 +43,24 @@ def discover(disabled: Collection[str] = ()) -> Registry:
     """Read all installed plugins, importing nothing but their plugin modules.
 
     Args:
-        disabled: names of distributions that are not to be imported at all.
+        disabled: names of plugins that are not to be imported at all; the name of a distribution means all of its
+            plugins.
 
     Raises:
-        ConfigurationError: `disabled` names a distribution that is no installed plugin.
+        ConfigurationError: `disabled` names neither an installed plugin nor a distribution with plugins.
     """
     return discover_from(entry_points(group=PROJECT), disabled)
 
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
     """As `discover`, for the given entry points."""
-    claims = sorted((_identify(point) for point in points), key=lambda c: (c.record.distribution, c.point.value))
-    skipped = _check_disabled(disabled, {c.record.distribution for c in claims})
+    claims = sorted((_identify(point) for point in points), key=lambda claim: _order(claim.record))
+    skipped = _check_disabled(disabled, {name for claim in claims for name in _names(claim.record)})
     hooks = Hooks()
     records: list[PluginRecord] = []
     waiting: list[_Claim] = []
     for claim in claims:  # what they bring has to be known before any other plugin can offer it
-        if _normalise(claim.record.distribution) in skipped:
+        if not skipped.isdisjoint(map(_normalise, _names(claim.record))):
             records.append(replace(claim.record, status=Status.DISABLED, reason="Disabled by the configuration."))
             continue
         try:
@@ -69,7 +70,16 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
         else:
             waiting.append(claim)
     records += [_examine(claim, hooks) for claim in waiting]
-    return _settle(sorted(records, key=lambda r: (r.distribution, r.module)), hooks)
+    return _settle(sorted(records, key=_order), hooks)
+
+
+def _order(record: PluginRecord) -> tuple[str, str, str]:
+    return record.name, record.distribution, record.module
+
+
+def _names(record: PluginRecord) -> tuple[str, str]:
+    """What `disabled_plugins` may call it."""
+    return record.name, record.distribution
 
 
 def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
@@ -86,11 +96,14 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
 
 
 def _identify(point: EntryPoint) -> _Claim:
-    name, version = point.name, ""
+    distribution, version = point.name, ""
     if point.dist is not None:
         metadata = point.dist.metadata  # read from a file each time it is asked for
-        name, version = metadata["Name"], metadata["Version"] or ""
-    return _Claim(point, PluginRecord(distribution=name, version=version, module=point.module, status=Status.READY))
+        distribution, version = metadata["Name"], metadata["Version"] or ""
+    record = PluginRecord(
+        name=point.name, distribution=distribution, version=version, module=point.module, status=Status.READY
+    )
+    return _Claim(point, record)
 
 
 def _normalise(name: str) -> str:
@@ -123,7 +136,7 @@ def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
     except (Exception, SystemExit) as error:
         where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
         return replace(claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc())
-    return replace(claim.record, offers=tuple(_offer(spec, claim.record.distribution) for spec in specs))
+    return replace(claim.record, offers=tuple(_offer(spec, claim.record) for spec in specs))
 
 
 def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
@@ -182,17 +195,17 @@ def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
     return results
 
 
-def _offer(spec: Spec, distribution: str) -> Offer:
+def _offer(spec: Spec, record: PluginRecord) -> Offer:
+    ready = Offer(spec=spec, plugin=record.name, distribution=record.distribution, status=Status.READY)
     if spec.contract != CONTRACT_VERSION:
         newer = spec.contract > CONTRACT_VERSION
-        advice = "upgrade roboneuron-core" if newer else f"upgrade {distribution}"
+        advice = "upgrade roboneuron-core" if newer else f"upgrade {record.distribution}"
         reason = f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
-        return Offer(spec=spec, distribution=distribution, status=Status.INCOMPATIBLE, reason=reason)
+        return replace(ready, status=Status.INCOMPATIBLE, reason=reason)
     absent = availability.missing(spec.requires)
     if absent:
-        reason = availability.explain(absent)
-        return Offer(spec=spec, distribution=distribution, status=Status.UNAVAILABLE, reason=reason)
-    return Offer(spec=spec, distribution=distribution, status=Status.READY)
+        return replace(ready, status=Status.UNAVAILABLE, reason=availability.explain(absent))
+    return ready
 
 
 def _settle(records: Sequence[PluginRecord], hooks: Hooks) -> Registry:
@@ -201,11 +214,17 @@ def _settle(records: Sequence[PluginRecord], hooks: Hooks) -> Registry:
     for record in records:
         for offer in record.offers:
             for claim in _claimed(offer.spec):
-                claims[claim].append(offer.distribution)
+                claims[claim].append(_who(offer))
     settled = tuple(_summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records)
     offers = [offer for record in settled for offer in record.offers]
-    offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.distribution))
+    offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.plugin, o.distribution))
     return Registry(plugins=settled, all_offers=tuple(offers), kinds=hooks.kinds)
+
+
+def _who(offer: Offer) -> str:
+    """A plugin as people find it: with its distribution where that has another name."""
+    of = "" if offer.plugin == offer.distribution else f" of {offer.distribution}"
+    return f"{offer.plugin}{of}"
 
 
 def _claimed(spec: Spec) -> list[tuple[str, str]]:

@@ -17,7 +17,7 @@ from roboneuron.errors import PluginError
 from roboneuron.plugins.descriptor import NAME_PATTERN
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import (
-    KINDS,
+    PLUGIN_KINDS,
     AccelerationSpec,
     BackendSpec,
     CommandSpec,
@@ -110,7 +110,7 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
     """
 
 
-HOOKS = {kind: f"{PROJECT}_{kind}s" for kind in KINDS}
+HOOKS = {kind: f"{PROJECT}_{kind}s" for kind in PLUGIN_KINDS}
 """Hook name by descriptor kind, of the hooks that core knows."""
 
 
@@ -123,7 +123,9 @@ class Hooks:
         containers: modules that hold the functions decorated with `hookspec`.
     """
 
-    specs: Mapping[str, type[Spec]] = field(default_factory=lambda: {hook: KINDS[kind] for kind, hook in HOOKS.items()})
+    specs: Mapping[str, type[Spec]] = field(
+        default_factory=lambda: {hook: PLUGIN_KINDS[kind] for kind, hook in HOOKS.items()}
+    )
     containers: tuple[ModuleType, ...] = (sys.modules[__name__],)
 
     @property

@@ -10,7 +10,7 @@ from typing import TypeVar, overload
 
 from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, package_of
-from roboneuron.plugins.specs import KINDS, Spec
+from roboneuron.plugins.specs import PLUGIN_KINDS, Spec
 
 S = TypeVar("S", bound=Spec)
 
@@ -32,12 +32,14 @@ class Offer:
 
     Attributes:
         spec: the descriptor.
-        distribution: name of the package it comes from.
+        plugin: name of the plugin, that of its entry point.
+        distribution: name of the package it comes from, which may hold several plugins.
         status: READY when it can be used.
         reason: why not, and what to do about it; empty when ready.
     """
 
     spec: Spec
+    plugin: str
     distribution: str
     status: Status
     reason: str = ""
@@ -48,6 +50,7 @@ class PluginRecord:
     """One entry point of the group `roboneuron`.
 
     Attributes:
+        name: that of the entry point; a distribution with one plugin gives it its own name.
         distribution: name of the package.
         version: its version; empty when its metadata have none.
         module: the plugin module that the entry point names.
@@ -57,6 +60,7 @@ class PluginRecord:
         offers: what it offers, in the order of its hooks, also what cannot be used.
     """
 
+    name: str
     distribution: str
     version: str
     module: str
@@ -71,14 +75,14 @@ class Registry:
     """All plugins that are installed, and what each of them offers.
 
     Attributes:
-        plugins: one record for each entry point, sorted by distribution and module.
-        all_offers: every descriptor offered, of any status, sorted by kind, name and distribution.
+        plugins: one record for each entry point, sorted by name, distribution and module.
+        all_offers: every descriptor offered, of any status, sorted by kind, name and plugin.
         kinds: descriptor class by kind, those of installed features included.
     """
 
     plugins: tuple[PluginRecord, ...]
     all_offers: tuple[Offer, ...]
-    kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: KINDS)
+    kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: PLUGIN_KINDS)
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
         """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for another kind."""
@@ -116,11 +120,11 @@ class Registry:
         if claims:
             reasons = " ".join(dict.fromkeys(f"{o.status}: {o.reason}" for o in claims))
             raise ConfigurationError(
-                f"The {kind} {name!r} cannot be used ({', '.join(o.distribution for o in claims)} {reasons}).",
+                f"The {kind} {name!r} cannot be used ({', '.join(o.plugin for o in claims)} {reasons}).",
                 hint=_choices(kind, ready),
             )
         package = package_of(kind, name)
-        if package is not None:
+        if package is not None and not self.not_loaded(package):
             raise ConfigurationError(
                 f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} brings it.",
                 hint=f"Run: {install_command(package)}. {_choices(kind, ready)}{self._explain_absent_plugins()}",
@@ -130,13 +134,18 @@ class Registry:
             hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
         )
 
-    def _explain_absent_plugins(self) -> str:
-        """Plugins whose offers are unknown because they did not load: one of them may hold what is sought."""
+    def not_loaded(self, package: str = "") -> str:
+        """Plugins (of a package) whose offers are unknown, since they are disabled or failed, as text: "rn-x (failed)".
+
+        One of them may hold what is sought; empty when all were loaded.
+        """
         silent = [p for p in self.plugins if p.status in (Status.DISABLED, Status.FAILED)]
-        if not silent:
-            return ""
-        named = ", ".join(f"{p.distribution} ({p.status})" for p in silent)
-        return f" Not loaded: {named}; see `roboneuron plugins list`."
+        of = package.partition("[")[0]
+        return ", ".join(f"{p.name} ({p.status})" for p in silent if not of or p.distribution == of)
+
+    def _explain_absent_plugins(self) -> str:
+        silent = self.not_loaded()
+        return f" Not loaded: {silent}; see `roboneuron plugins list`." if silent else ""
 
 
 def _choices(kind: str, ready: Mapping[str, Spec]) -> str:

@@ -195,6 +195,7 @@ class DriverSpec:
         config: "module:attribute" of its pydantic options model, or None.
         requires: modules it needs beyond the robot package's own.
         recovers: it can clear a fault that has stopped the robot, by a method `recover`; see rn-ops.
+        simulated: nothing real moves. A driver that does not say so counts as one of a real robot.
     """
 
     name: str
@@ -203,6 +204,7 @@ class DriverSpec:
     config: str | None = None
     requires: tuple[Requirement, ...] = ()
     recovers: bool = False
+    simulated: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -282,7 +284,7 @@ class CommandSpec(Spec):
     hooks: str | None = None
 
 
-KINDS: dict[str, type[Spec]] = {
+PLUGIN_KINDS: dict[str, type[Spec]] = {
     spec.kind: spec
     for spec in (
         BackendSpec,

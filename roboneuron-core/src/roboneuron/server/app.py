@@ -6,6 +6,7 @@ import gc
 import logging
 import sys
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from functools import partial
 
@@ -48,12 +49,25 @@ def shorten_pauses() -> None:
 log = logging.getLogger(__name__)
 _MOTION_S = 2.0
 
-INSTRUCTIONS = """\
-RoboNeuron operates one robot. To let it act: start_robot, start_perception, start_control, start_inference, then
-set_instruction. Watch get_status and get_camera_image. A call that returns has done what it says; everything else is an
-error with a reason. list_* tell what can be chosen. publish_*, read_*, call_*, send_*_goal, move_* use the robot's ROS
-interfaces directly; while a policy runs, it alone moves the robot. emergency_stop stops all motion at once; stop_all
-ends all."""
+_INSTRUCTIONS = {
+    "start_all": "start_all starts everything that is configured.",
+    "run_task": "run_task has the robot carry out an instruction and says how that ended: use it for most requests.",
+    "start_robot": "By single steps: start_robot, start_perception, start_control, start_inference, then "
+    "set_instruction, which returns when the robot begins to move.",
+    "get_camera_image": "get_camera_image shows what is there.",
+    "get_status": "get_status tells how everything is.",
+    "stop_inference": "stop_inference ends the policy's motion, stop_all everything. emergency_stop is for danger: "
+    "only a person releases it.",
+    "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while a policy runs.",
+}
+"""What clients are told of a tool, in this order."""
+_EVERYWHERE = "A call that returns without an error has done what it says; an error says why and what to do."
+
+
+def instructions_for(tools: Collection[str]) -> str:
+    """How to use a server with these tools, for its clients; stands behind which robot it operates."""
+    said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
+    return " ".join([*said, _EVERYWHERE])
 
 
 class Application:
@@ -90,7 +104,7 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
-        reports = SafetyReports(self.supervisor, self.loop.emergency_stop, self.events)
+        reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events)
         self._watch = Watch(reports.look, self.events.health.tell)
         self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
         self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
@@ -100,8 +114,9 @@ class Application:
             ready=self._join_ros,
             on_call=self.events.call.tell,
             on_change=self.events.tools.tell,
+            acts_on=lambda: str(self.loop.robot_facts),
         )
-        self.server = make_server(self, config.server.name, INSTRUCTIONS)
+        self.server = make_server(self, config.server.name, "")
         self.host = Host(
             loop=self.loop,
             supervisor=self.supervisor,
@@ -117,6 +132,9 @@ class Application:
         offered = self.features.offer(self.host, self.tools)
         with suppress(StateError):  # without a gate nothing is sent for agents; with two the server does not start
             self.host.gate  # noqa: B018
+        self.server.instructions = (
+            f"RoboNeuron operates one {self.loop.robot_facts}. {instructions_for(self.tools.names())}"
+        )
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
@@ -144,6 +162,7 @@ class Application:
         self.supervisor.stop_all(LEAVE_S)
         self.features.close()
         self.supervisor.close()
+        self.loop.emergency_stop.file.release()
         self.events.end.tell()
 
     def end_direct_motion(self, reason: str, timeout_s: float) -> bool:
@@ -160,6 +179,7 @@ class Application:
 
     def open(self) -> None:
         """Begin to join the ROS graph, and to watch it, in the background."""
+        self.loop.emergency_stop.file.reserve()
         self.supervisor.open()
         self.events.open.tell()
         self._is_joining = True

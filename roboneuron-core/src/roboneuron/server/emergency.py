@@ -17,12 +17,11 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from roboneuron.errors import NotReadyError, UnsafeError
-from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
-from roboneuron.gate.estop import EmergencyStopLatch
+from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.server.events import Events
+from roboneuron.server.motion_starts import MotionStarts
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -71,9 +70,10 @@ class EmergencyStop:
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[bool], None]] = {}
         self._restored = 0
-        self.file = EmergencyStopLatch(supervisor.state_directory / LATCH_NAME, time.time_ns)
+        self._is_told = False
+        self.file = EmergencyStopLatch(supervisor.state_directory / ESTOP_FILE, time.time_ns)
         self.file.on_pressed(lambda: self._publish(True))
-        self.audit = AuditLog(supervisor.state_directory / AUDIT_NAME, time.time_ns)
+        self.audit = AuditLog(supervisor.state_directory / AUDIT_FILE, time.time_ns)
 
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
@@ -124,8 +124,22 @@ class EmergencyStop:
                     link.subscribe(Bool, topic, lambda message: self._on_topic(topic, message.data), qos)
                 self._publishers[namespace] = publish
 
+    def follow_file(self) -> bool:
+        """Whether the file stops; called now and then.
+
+        A person's reset releases the file only. What was published last stays on the topic for nodes that come later:
+        they would press the stop again.
+        """
+        is_latched = self.file.is_latched()
+        if self._is_told and not is_latched:
+            self._publish(False)
+            if self.file.is_latched():  # pressed meanwhile
+                self._publish(True)
+        return self.file.is_latched()
+
     def _publish(self, is_latched: bool) -> None:
         """Tell all modules by the topic; waits for nothing."""
+        self._is_told = is_latched
         for publish in list(self._publishers.values()):
             publish(is_latched)
 
@@ -159,16 +173,16 @@ class EmergencyStop:
             )
         return confirmed, took_s
 
-    def reset(self, namespace: str, *, who: str, role: str) -> tuple[list[str], float]:
+    def reset(self, namespace: str, *, who: str, role: str, pin: str = "") -> tuple[list[str], float]:
         """Release the latch. Returns as `latch`.
 
         Raises:
-            RefusedError: `role` may not, or the audit cannot be written.
+            RefusedError: `role` may not, the PIN is wrong, or the audit cannot be written.
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
         self._hear_echoes()
-        self.file.reset(who=who, role=role, audit=self.audit)
+        self.file.reset(who=who, role=role, audit=self.audit, pin=pin)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(
@@ -205,13 +219,13 @@ class EmergencyStop:
 
 
 class SafetyReports:
-    """Reports faults that change no module's health: a latch file that vanished, requests of foreign nodes.
+    """Reports faults that change no module's health: a latch file that vanished, requests of foreign nodes, stops.
 
     It looks whenever the modules are looked at; used by the watching thread only.
     """
 
-    def __init__(self, supervisor: Supervisor, emergency_stop: EmergencyStop, events: Events) -> None:
-        self._supervisor = supervisor
+    def __init__(self, starts: MotionStarts, emergency_stop: EmergencyStop, events: Events) -> None:
+        self._starts = starts
         self._emergency_stop = emergency_stop
         self._events = events
         self._foreign: dict[ModuleKind, int] = {}
@@ -221,7 +235,7 @@ class SafetyReports:
         if restored := self._emergency_stop.take_restored():
             what = "its file vanished without a reset and was written again; everything stays stopped"
             self._events.fault.tell("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
-        views = self._supervisor.views()
+        views = self._starts.look(self._emergency_stop.follow_file())
         for view in views:
             count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
             if count > self._foreign.get(view.kind, 0) and view.report is not None:

@@ -78,6 +78,15 @@ class Feature(Generic[OptionsT]):
             ConfigurationError: the server would not work with it.
         """
 
+    def reserve(self, config: Config) -> None:
+        """Take, or look for, what one server alone may hold, such as a port. Called once, before `listen`.
+
+        `config check` does not call it: a server that runs may rightly hold what it is about.
+
+        Raises:
+            ConfigurationError: another process holds it.
+        """
+
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """Tools for the agent. Called once, before clients are served; `host` may be kept."""
         return ()
@@ -169,7 +178,9 @@ class Features:
             self._attempt(spec, "used", partial(feature.check, self._config))
 
     def listen(self, host: Host) -> Transport | None:
-        """Have the feature listen that serves the configured transport; None for stdio."""
+        """Have every feature reserve what it needs, and the one that serves the configured transport listen."""
+        for spec, feature in self._all():
+            self._attempt(spec, "started", partial(feature.reserve, self._config))
         return None if self._transport is None else self._loaded[self._transport].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:

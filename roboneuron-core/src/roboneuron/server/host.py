@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.plugins.availability import install_command, package_of
 
@@ -93,12 +94,12 @@ class Host:
         gates = {name: gate for name, feature in self.features.loaded.items() if (gate := feature.gate) is not None}
         if not gates:
             package = package_of("feature", "direct-path")
-            hint = f"Run: {install_command(package)}" if package else ""
+            hint = f"The feature 'direct-path' does. If it is not installed: {install_command(package or '')}."
             raise StateError("No feature sends messages for others here.", hint=hint)
         if len(gates) > 1:
             raise ConfigurationError(
                 f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a server has one.",
-                hint="Name the distribution of one of them in disabled_plugins.",
+                hint="Name the plugin of one of them in disabled_plugins.",
             )
         return next(iter(gates.values()))
 
@@ -142,8 +143,10 @@ class Host:
             What ends it.
 
         Raises:
+            InvalidInputError: this can be no topic.
             RoboNeuronError: ROS cannot be joined.
         """
+        check_topic(topic)
         link = self.supervisor.link  # first: two threads must not import rclpy at the same time
         from roboneuron.ros.qos import requested_qos  # heavy
 

@@ -11,11 +11,13 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.errors import RefusedError, UnsafeError
+from roboneuron.gate.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, VIEWER
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
 from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KINDS, KindEntry
+from roboneuron.server.module_kinds import KIND_ENTRIES, KindEntry
+from roboneuron.server.motion_starts import AGAIN
 from roboneuron.server.results import (
     EmergencyStopResult,
     InstructionResult,
@@ -42,9 +44,9 @@ class SetInstruction(Arguments):
 def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """All tools of the closed loop, in the order in which an agent uses them."""
     return [
-        *(_start_tool(loop, entry) for entry in KINDS.values()),
+        *(_start_tool(loop, entry) for entry in KIND_ENTRIES.values()),
         _set_instruction(loop),
-        *(_stop_tool(loop, KINDS[kind]) for kind in MODULE_KINDS),
+        *(_stop_tool(loop, KIND_ENTRIES[kind]) for kind in MODULE_KINDS),
         _stop_all(loop),
     ]
 
@@ -58,14 +60,15 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
         name="set_instruction",
         title="Tell the robot what to do",
         description=(
-            "Give the running backend a new instruction, without a restart. Returns when its first action for it "
-            "was published: the robot is moving then, not done; watch get_status and get_camera_image. If the "
-            "backend cannot act on the instruction, its reason is the error and nothing moves."
+            "Give the running policy an instruction. Returns when it has sent its first action: the robot is moving "
+            "then, not done; stop_inference ends it. If the policy cannot act on the instruction, the error says why "
+            "and nothing moves."
         ),
         arguments=SetInstruction,
         result=InstructionResult,
         handler=set_instruction,
         open_world=True,
+        offered=loop.takes_policies,
     )
 
 
@@ -78,8 +81,8 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"stop_{kind}",
         title=f"Stop {kind}",
-        description=f"Stop {kind}: {entry.stop_text}. Returns when its process is gone; also cancels a start in "
-        "progress.",
+        description=f"{entry.stop_text} Returns when its process is gone. Also ends a start in progress.",
+        offered=loop.takes_policies if kind == "inference" else lambda: True,
         arguments=NoArguments,
         result=StopResult,
         handler=handler,
@@ -109,6 +112,8 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
 
 
 def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+    which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
+
     async def handler(request: Arguments, context: CallContext) -> StartResult:
         started_s = time.monotonic()
         view = await context.run(
@@ -120,8 +125,8 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"start_{entry.kind}",
         title=entry.title,
-        description=f"{entry.start_text} Returns when it works ({entry.proof}); on any failure nothing is left "
-        "running.",
+        description=f"{entry.start_text}{which} Returns when {entry.proof}; if it fails, nothing is left running.",
+        offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
         arguments=entry.request,
         result=StartResult,
         handler=handler,
@@ -144,20 +149,22 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         with suppress(UnsafeError):  # told by the call itself, which tries again
             stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
 
-    async def ask_person(context: CallContext) -> None:
-        """Raises RefusedError unless a person agreed to release this very stop."""
+    async def ask_person(context: CallContext, *, for_pin: bool) -> str:
+        """The PIN that a person has typed; raises RefusedError unless one agreed to release this very stop."""
         before, cause = stop.file.read_state(), stop.cause()
         since = (
             datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
             .astimezone()
             .isoformat(" ", "milliseconds")
         )
-        agreed = await context.ask(  # the time makes a question about another stop another question
+        question = (  # the time makes a question about another stop another question
             f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. Release it? "
-            "Look at the robot first: a policy that still has an instruction goes on with it."
+            "Look at the robot first. Nothing moves before somebody gives a new instruction or moves the arm."
         )
+        typed = await context.ask_for(question, "PIN") if for_pin else ""
+        agreed = (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
         if agreed and stop.file.read_state().time_ns == before.time_ns:
-            return
+            return typed or ""
         why = {None: "this client cannot ask one", False: "nobody agreed"}.get(agreed, "it was pressed again")
         raise RefusedError(
             f"Only a person releases the emergency stop, and {why}. It stays latched.",
@@ -173,22 +180,24 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
 
     async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
-        who = context.who
-        if loop.base.server.reset_emergency_stop == "person" and stop.is_latched():
-            await ask_person(context)
+        who, pin = context.who, ""
+        for_pin = ReleasePin(stop.file.path.parent).is_set
+        if (for_pin or loop.base.server.reset_emergency_stop == "person") and stop.is_latched():
+            pin = await ask_person(context, for_pin=for_pin)
             who = f"a person asked by {who}"
-        confirmed, took_s = await context.run(lambda _: stop.reset(loop.config.namespace, who=who, role=context.role))
-        note = "Nothing moves by itself; a running backend acts again on the next image."
-        return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+        confirmed, took_s = await context.run(
+            lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
+        )
+        return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=AGAIN)
 
     return [
         Tool(
             name="emergency_stop",
             title="Emergency stop",
             description=(
-                "Stop all motion now and keep it stopped until reset_emergency_stop, across restarts of anything. "
-                "Modules go on running. Returns when every running module has confirmed it; an error names those that "
-                "have not."
+                "For danger: stop all motion at once. Nothing moves again, also after restarts, until a person "
+                "releases it. For an ordinary stop use stop_inference or stop_all. Returns when every running module "
+                "has confirmed it; an error names those that have not."
             ),
             arguments=EmergencyStopArguments,
             result=EmergencyStopResult,
@@ -205,8 +214,8 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             title="Release the emergency stop",
             description=(
                 "Release the emergency stop. A person decides: the client asks one, if it can; otherwise the call is "
-                "refused and says what a person has to do. A backend that still has an instruction goes on with it: "
-                "stop_inference first if it should not."
+                "refused and says what a person has to do. Nothing moves by itself: the policy has forgotten its "
+                "instruction; set_instruction or run_task starts it again."
             ),
             arguments=NoArguments,
             result=EmergencyStopResult,

@@ -6,14 +6,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from roboneuron.config import Config
+from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
+from roboneuron.server.motion_starts import MotionStarts
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.results import RobotFacts
 from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Report, Stopped
@@ -56,6 +58,7 @@ class ClosedLoop:
     Attributes:
         choose: selects what a client asks for; a feature that lets clients choose more puts its own here.
         on_stop: told of a module before it is stopped.
+        starts: who has asked for motion, and the stops since.
         streams: what was sent on action topics, by namespace, see `stream`.
     """
 
@@ -64,6 +67,8 @@ class ClosedLoop:
         self.plugins = plugins
         self.supervisor = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
+        self.starts = MotionStarts(supervisor)
+        self.emergency_stop.file.on_pressed(lambda: self.starts.note_stop(EMERGENCY_STOP))
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[Sent]] = {}
@@ -75,6 +80,25 @@ class ClosedLoop:
         choice = self.supervisor.view("robot").choice
         others: dict[str, Any] = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
         return self.base if choice is None else choice.settings.config.model_copy(update=others)
+
+    @property
+    def limits(self) -> LimitsConfig:
+        """The limits in force: those of the configuration, or what a client has tightened them to."""
+        return self.supervisor.tightened or self.base.limits
+
+    @property
+    def robot_facts(self) -> RobotFacts:
+        """Which robot is or would be started, and whether it is a real one."""
+        robot = self.config.robot
+        spec = self.plugins.current().specs(RobotSpec).get(robot.name)
+        driver = None if spec is None else spec.driver(robot.driver)
+        kind: Literal["real", "simulated"] = "simulated" if driver is not None and driver.simulated else "real"
+        return RobotFacts(name=robot.name, driver=robot.driver, kind=kind)
+
+    def takes_policies(self) -> bool:
+        """Whether any policy could move the present robot; true of a robot whose plugin is gone."""
+        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        return spec is None or bool(spec.action_widths)
 
     def camera_roles(self) -> dict[str, str]:
         """Camera name -> role of the present robot; empty when its plugin is gone."""
@@ -117,18 +141,30 @@ class ClosedLoop:
         return self.start_selected(self.select(kind, request, role), on_stage)
 
     def start_selected(self, selection: Selection, on_stage: Stage) -> ModuleView:
-        """Start what `select` returned. Raises as `Supervisor.start`."""
+        """Start what `select` returned. An instruction in it is a start of motion. Raises as `Supervisor.start`."""
         self.emergency_stop.prepare(selection.config.namespace)
-        if selection.kind == "inference":
+        self.starts.look()
+        self.starts.settle()
+        kind, section, ticket = selection.kind, selection.config.inference, 0
+        if kind == "inference" and self.supervisor.slot(kind).phase in ("stopped", "exited"):
             self.stream(selection.config.namespace)
-        return self.supervisor.start(
-            selection.kind,
+            text = section.instruction if section is not None else ""
+            if text:
+                self.starts.permit()
+            ticket = self.starts.begin(text)
+        self.supervisor.start(
+            kind,
             selection.config,
             python=selection.python,
             names=selection.names,
             plan=selection.plan,
             on_stage=on_stage,
         )
+        if kind == "inference":
+            self.starts.follow(self.supervisor.slot(kind), ticket)
+        else:
+            self.starts.arm_started()  # motion may have been asked for while it was being started
+        return self.supervisor.view(kind)
 
     def stream(self, namespace: str) -> deque[Sent]:
         """What is sent on a robot's action topic since a backend was first started for it."""
@@ -140,13 +176,19 @@ class ClosedLoop:
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
         self.on_stop(kind)
-        return self.supervisor.stop(kind)
+        try:
+            return self.supervisor.stop(kind)
+        finally:
+            self.starts.stop(kind, f"{kind} was stopped", is_asked=True)
 
     def stop_all(self) -> list[Stopped]:
         """Stop everything, in the reverse order of starting."""
         for kind in MODULE_KINDS:
             self.on_stop(kind)
-        return self.supervisor.stop_all()
+        try:
+            return self.supervisor.stop_all()
+        finally:
+            self.starts.stop("robot", "everything was stopped", is_asked=True)
 
     def cancel(self, kind: ModuleKind) -> None:
         """The client that asked for a start does not want it any more."""
@@ -157,7 +199,7 @@ class ClosedLoop:
 
         Raises:
             InvalidInputError: the instruction is empty or refused by the module.
-            StateError: no backend is running.
+            StateError: no backend is running, or a stop came meanwhile.
             RefusedError: the emergency stop is latched, so nothing would happen.
             UngroundedError: the backend cannot act on it; nothing moves.
             NotReadyError: no action within the time; the message says what is missing.
@@ -169,15 +211,13 @@ class ClosedLoop:
         count = before.instruction_count if before is not None else 0
         errors = before.error_count if before is not None else 0
         started_s = time.monotonic()
-        assert view.choice is not None
-        assert view.process is not None
-        node = f"/{view.choice.settings.status_name}"
-        parameters = self.supervisor.parameters(node, view.process)
-        refused = parameters.set({INSTRUCTION_PARAMETER: text}, _PARAMETER_S)
+        stops = self.starts.permit()
+        _, refused = self.starts.give(text, _PARAMETER_S)
         if refused:
             raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
 
         def settled() -> Report | None:
+            self.starts.check(stops)
             report = self.supervisor.require_running("inference").report
             if report is None or report.instruction_count <= count:
                 return None

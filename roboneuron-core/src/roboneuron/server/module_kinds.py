@@ -12,12 +12,12 @@ from roboneuron.config import ControlConfig, InferenceConfig, PerceptionConfig, 
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind
 from roboneuron.server.tool import Arguments, NoArguments
 
-Section = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
+ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
 Instruction = Annotated[
     str | None,
     Field(
         max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do, for instance "pick up the red cube"; can be given later with set_instruction.',
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives one later.',
     ),
 ]
 
@@ -46,7 +46,7 @@ class KindEntry:
     kind: ModuleKind
     noun: str
     offer: str
-    section: type[Section]
+    section: type[ModuleSection]
     request: type[Arguments]
     title: str
     start_text: str
@@ -62,9 +62,9 @@ _TABLE = (
         section=RobotConfig,
         request=NoArguments,
         title="Start the robot",
-        start_text="Connect to the robot, or start its simulation; it holds where it is.",
-        proof="its first joint state was measured",
-        stop_text="the driver holds the robot and disconnects",
+        start_text="Connect to the robot, or start its simulation. It stands still until something moves it.",
+        proof="its joints are measured",
+        stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
     ),
     KindEntry(
         kind="perception",
@@ -73,9 +73,9 @@ _TABLE = (
         section=PerceptionConfig,
         request=NoArguments,
         title="Start the cameras",
-        start_text="Open the cameras and publish their images.",
-        proof="each camera has delivered its first image",
-        stop_text="the cameras are closed; actions cease when images do",
+        start_text="Start the cameras. A simulated robot's cameras need start_robot first.",
+        proof="each camera has delivered an image",
+        stop_text="Close the cameras; a policy without images sends no more actions.",
     ),
     KindEntry(
         kind="control",
@@ -84,9 +84,10 @@ _TABLE = (
         section=ControlConfig,
         request=NoArguments,
         title="Start the controller",
-        start_text="Start turning actions into joint commands; the arm holds until actions come.",
-        proof="it has received joint states and published the first end-effector pose",
-        stop_text="the arm holds; no more joint commands",
+        start_text="Start the controller, which turns the policy's actions, and move_ee, into joint commands. Needs "
+        "start_robot. The arm stands still until actions come.",
+        proof="it measures the pose of the end effector",
+        stop_text="Stop the controller; the arm holds its position.",
     ),
     KindEntry(
         kind="inference",
@@ -95,11 +96,11 @@ _TABLE = (
         section=InferenceConfig,
         request=StartInference,
         title="Start the policy",
-        start_text="Load a backend (a vision-language-action model or a classical policy). With an instruction, and "
-        "with robot and control running, the robot moves.",
-        proof="it has received all its inputs and, when it has an instruction, published its first action",
-        stop_text="no more actions; the arm holds",
+        start_text="Load a policy (a vision-language-action model or a classical one). With an instruction the robot "
+        "moves at once. Needs start_perception; to move, also start_robot and start_control.",
+        proof="the policy receives its inputs and, if it has an instruction, has sent its first action",
+        stop_text="Stop the policy; the arm holds its position.",
     ),
 )
-KINDS: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _TABLE}
+KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _TABLE}
 """The kinds in the order in which an agent starts them."""

@@ -25,6 +25,8 @@ Admission = Callable[[Tool[Any], CallContext], None]
 """Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not block."""
 _MOST_TEXT = 2000
 """Characters of an error's text."""
+_MOST_ANSWER = 100_000
+"""Characters of what a tool that only reads may answer; a bound for those that have none of their own."""
 _FIXED = ""
 """Owner of the tools that were added; the others are derived ones."""
 ERROR_META = "roboneuron/error"
@@ -41,6 +43,7 @@ class ToolRegistry:
         on_change: called, from any thread, when the listed derived tools changed.
         ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
         on_call: told of each call that was answered, as `Events.call`.
+        acts_on: the robot in words; stands in every answer of a tool that acts on it.
     """
 
     def __init__(
@@ -51,7 +54,9 @@ class ToolRegistry:
         ready: Callable[[], Awaitable[None]] | None = None,
         on_change: Callable[[], object] = lambda: None,
         on_call: Callable[[str, Mapping[str, Any], str, str, float], object] = lambda *_: None,
+        acts_on: Callable[[], str] | None = None,
     ) -> None:
+        self._acts_on = acts_on
         self._on_call = on_call
         self._admissions: list[Admission] = []
         self._ready = ready
@@ -81,7 +86,8 @@ class ToolRegistry:
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
-        return frozenset(name for owner, entries in self._owned.items() if owner != besides for name in entries)
+        kept = [entries for owner, entries in self._owned.items() if owner == _FIXED or owner != besides]
+        return frozenset(name for entries in kept for name in entries)
 
     def derived(self, owner: str = "") -> list[Tool[Any]]:
         """The derived tools of an owner, or all of them; listed or not."""
@@ -105,7 +111,7 @@ class ToolRegistry:
             entry.shown()
             for entries in self._owned.values()
             for entry in entries.values()
-            if entry.tool.listed and may_call(role, entry.tool)
+            if entry.tool.listed and entry.tool.offered() and may_call(role, entry.tool)
         ]
 
     def get(self, name: str) -> Tool[Any] | None:
@@ -159,6 +165,11 @@ class ToolRegistry:
                 )
             )
         structured = dict(answer.structured)
+        if tool.read_only and (size := len(json.dumps(structured))) > _MOST_ANSWER:
+            hint = "Ask for less: its arguments narrow what it answers."
+            return failure(InvalidInputError(f"The answer of {name} has {size} characters: too many.", hint=hint))
+        if tool.open_world and not tool.read_only and self._acts_on is not None:
+            structured["acts_on"] = self._acts_on()
         content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
         content += [
             types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
@@ -198,7 +209,7 @@ class _Entry:
 def _described(tool: Tool[Any]) -> types.Tool:
     return types.Tool(
         name=tool.name,
-        title=tool.title,
+        title=None if tool.title.lower() == tool.name.replace("_", " ") else tool.title,
         description=tool.description,
         input_schema=tool.input_schema(),
         output_schema=listed_output(tool.output_schema()),

@@ -34,16 +34,25 @@ def versions() -> dict[str, str]:
 
 def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     """The status of everything, `started_s` being the monotonic time of the server's start."""
+    cause = loop.emergency_stop.cause()
     return StatusResult(
+        robot=loop.robot_facts,
         modules=[module_status(view) for view in loop.supervisor.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
-        emergency_stop_cause=loop.emergency_stop.cause(),
+        **({"emergency_stop_cause": cause} if cause else {}),
         namespace=loop.config.namespace,
+        tightened_limits=_tightened(loop),
         uptime_s=round(time.monotonic() - started_s, 1),
         pid=os.getpid(),
         versions=versions(),
         log_directory=str(loop.supervisor.log_directory),
     )
+
+
+def _tightened(loop: ClosedLoop) -> dict[str, Any]:
+    """By key, the limits that are tighter than those of the configuration."""
+    base, now = (limits.model_dump(mode="json") for limits in (loop.base.limits, loop.limits))
+    return {key: value for key, value in now.items() if value != base[key]}
 
 
 def status_tool(loop: ClosedLoop, started_s: float) -> Tool[Any]:
@@ -56,7 +65,8 @@ def status_tool(loop: ClosedLoop, started_s: float) -> Tool[Any]:
         name="get_status",
         title="Status of everything",
         description=(
-            "State, process, rates, latencies, ages, drops and errors of each module; the emergency stop; versions."
+            "Which robot this is, real or simulated; state, rates and errors of each module; whether the emergency "
+            "stop is latched, and by whom."
         ),
         arguments=NoArguments,
         result=StatusResult,
@@ -78,7 +88,7 @@ class Resources:
             name="status",
             title="Status of everything",
             description="The answer of get_status.",
-            read=lambda: status(loop, started_s).model_dump_json(indent=2),
+            read=lambda: status(loop, started_s).model_dump_json(indent=2, exclude_unset=True),
             mime_type="application/json",
         )
         self._offered: dict[str, Resource] = {}

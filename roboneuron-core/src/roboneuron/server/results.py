@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -14,6 +15,10 @@ from roboneuron.supervisor.slot import Phase
 
 STALE_S = 1.0
 """A module whose newest report is older than this (five periods) is shown as not responding."""
+
+
+_MOST_TEXT, _MOST_TABLE, _MOST_LINE = 1000, 6000, 300
+"""Characters of one text, of one table and of one line of a log in the status of a module."""
 
 
 class Failure(Result):
@@ -74,6 +79,7 @@ class ModuleStatus(ModuleSummary):
     error: Failure | None = None
     error_count: int = 0
     emergency_stop: bool | None = Field(default=None, description="whether the module itself is latched")
+    needs_start: str = Field(default="", description="the stop after which it waits to be asked for motion again")
     metrics: dict[str, str] = Field(default_factory=dict, description="whatever else it reports")
     detail: dict[str, str] = Field(default_factory=dict, description="facts of the robot or simulator")
     exit: ExitInfo | None = None
@@ -120,13 +126,30 @@ class EmergencyStopResult(Result):
     note: str = ""
 
 
-class StatusResult(Result):
-    """Everything at once."""
+class RobotFacts(Result):
+    """The robot that runs, or else the one that the configuration names."""
 
+    name: str
+    driver: str
+    kind: Literal["real", "simulated"] = Field(description="real unless its driver declares that it is simulated")
+
+    def __str__(self) -> str:
+        return f"{self.kind} robot {self.name} (driver {self.driver})"
+
+
+class StatusResult(Result):
+    """Everything at once; what is not known is left out, and of a stopped module all that is empty, 0 or false."""
+
+    sparse = True
+
+    robot: RobotFacts
     modules: list[ModuleStatus]
     emergency_stop: bool = Field(description="latched here or in any module; nothing moves until it is reset")
     emergency_stop_cause: str = Field(default="", description="who latched it and why")
     namespace: str = Field(description="ROS namespace of the robot")
+    tightened_limits: dict[str, Any] = Field(
+        default_factory=dict, description="limits tightened below those of the configuration; a person loosens them"
+    )
     uptime_s: float = Field(description="of the server")
     pid: int = Field(description="of the server")
     versions: dict[str, str]
@@ -149,14 +172,16 @@ def module_status(view: ModuleView) -> ModuleStatus:
     process, report = view.process, view.report
     facts = {
         **module_summary(view),
+        "ready": False,
         "started_at": process.started_at.isoformat(timespec="seconds") if process is not None else None,
         "log": f"roboneuron://logs/{view.kind}",
     }
     if view.exit is not None:
         at = view.exit.at.isoformat(timespec="milliseconds")
-        facts["exit"] = ExitInfo(pid=view.exit.pid, code=view.exit.code, at=at, last_lines=list(view.exit.last_lines))
+        lines = [_clipped(line, _MOST_LINE) for line in view.exit.last_lines]
+        facts["exit"] = ExitInfo(pid=view.exit.pid, code=view.exit.code, at=at, last_lines=lines)
     if report is None:
-        return ModuleStatus(**facts)
+        return _known(facts, view.phase)
     age_s = time.monotonic() - report.received_s
     responding = age_s <= STALE_S
     failure = report.failure()
@@ -166,7 +191,32 @@ def module_status(view: ModuleView) -> ModuleStatus:
     facts["error"] = Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None
     if not responding:
         facts["rate_hz"], facts["note"] = 0.0, f"No report for {age_s:.1f} s."
-    return ModuleStatus(**facts)
+    return _known(facts, view.phase)
+
+
+def _known(facts: Mapping[str, Any], phase: Phase) -> ModuleStatus:
+    """The facts that say something; fields that are not set are left out of answers."""
+    empty: tuple[object, ...] = (None,) if phase != "stopped" else (None, "", {}, (), 0, False)
+    kept = {name: _bounded(value) for name, value in facts.items() if name == "ready" or value not in empty}
+    return ModuleStatus(**kept)
+
+
+def _bounded(value: Any) -> Any:
+    """What a plugin reports, cut to what an agent can read; the log and /diagnostics have the whole."""
+    if isinstance(value, str):
+        return _clipped(value, _MOST_TEXT)
+    if not isinstance(value, Mapping):
+        return value
+    kept, room = {}, _MOST_TABLE
+    for key, entry in value.items():
+        room -= len(str(key)) + len(str(entry))
+        if room >= 0:
+            kept[key] = entry
+    return kept
+
+
+def _clipped(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
 
 
 def stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:

@@ -52,7 +52,8 @@ def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Sc
         entry = dict(properties[name])
         if allowed:
             listed = "; ".join(f"{value}: {summary}" if summary else value for value, summary in allowed.items())
-            entry["description"] = f"{entry.get('description', '')} Choices: {listed}."
+            if any(allowed.values()):
+                entry["description"] = f"{entry.get('description', '')} Choices: {listed}."
             if entry.get("type") == "array":
                 entry["items"] = {**entry["items"], "enum": list(allowed)}
             else:

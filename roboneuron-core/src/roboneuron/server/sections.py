@@ -16,9 +16,9 @@ from roboneuron.errors import (
 )
 from roboneuron.plugins.availability import install_command, known_names
 from roboneuron.plugins.loading import load_options, load_options_model
-from roboneuron.plugins.registry import Registry, Status
+from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
-from roboneuron.server.module_kinds import KINDS, KindEntry
+from roboneuron.server.module_kinds import KIND_ENTRIES, KindEntry
 from roboneuron.server.selection import select
 
 
@@ -29,7 +29,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
         ConfigurationError, PlanningError: as `select` and `check_sections`; all
             that is wrong.
     """
-    configured = [entry for entry in KINDS.values() if getattr(config, entry.kind) is not None]
+    configured = [entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None]
     checks: list[Callable[[], object]] = [partial(_check_kind, entry, config, registry) for entry in configured]
     checks.append(partial(check_sections, config, registry))
     problems: dict[str, RoboNeuronError] = {}
@@ -80,14 +80,13 @@ def _problems_of_name(place: str, name: str, registry: Registry) -> list[str]:
     if name in installed:
         return []
     ours = known_names()
-    silent = [p.distribution for p in registry.plugins if p.status in (Status.DISABLED, Status.FAILED)]
     if name in ours:
         package = ours[name]
-        if package.partition("[")[0] in silent:
+        if registry.not_loaded(package):
             return []
         return [f"{place}: {name!r} is not installed. Run: {install_command(package)}."]
     meant = nearest(name, {*installed, *ours})
-    if not meant and silent:
+    if not meant and registry.not_loaded():
         return []  # one of those that did not load may have that name
     return [f"{place}: nothing is called {name!r}. {meant or f'Installed are: {_listed(installed)}.'}"]
 

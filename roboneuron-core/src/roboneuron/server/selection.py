@@ -13,12 +13,12 @@ from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
 from roboneuron.errors import CheckpointError, InternalError, InvalidInputError, MissingDependencyError
-from roboneuron.modules.settings import ModuleKind
+from roboneuron.modules.settings import ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec, DriverSpec, Spec
-from roboneuron.server.module_kinds import KINDS, Section, StartInference
+from roboneuron.server.module_kinds import KIND_ENTRIES, ModuleSection, StartInference
 from roboneuron.server.tool import Arguments
 
 Options = Mapping[str, Any]
@@ -57,6 +57,8 @@ def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
     name = next(iter(names.values()))
     options = dict(config.options(name))
     if isinstance(section, InferenceConfig):
+        if section.instruction:
+            check_instruction(section.instruction)
         section = _check_checkpoint(section, plan, config)
         if section.checkpoint is not None:
             options["checkpoint"] = names["checkpoint"] = section.checkpoint
@@ -76,7 +78,7 @@ def choose_configured(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
 ) -> Selection:
     """What is configured, with the instruction that a request names; whatever the role."""
-    if not isinstance(request, KINDS[kind].request | None):
+    if not isinstance(request, KIND_ENTRIES[kind].request | None):
         raise InternalError(f"Nothing here reads {type(request).__name__}, what a client said of {kind}.")
     if isinstance(request, StartInference) and request.instruction is not None:
         section = configured_section(kind, config, registry)
@@ -85,11 +87,11 @@ def choose_configured(
     return select(kind, config, registry)
 
 
-def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> Section:
+def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> ModuleSection:
     """The section of a kind. Raises InvalidInputError when there is none."""
-    section: Section | None = getattr(config, kind)
+    section: ModuleSection | None = getattr(config, kind)
     if section is None:
-        entry = KINDS[kind]
+        entry = KIND_ENTRIES[kind]
         choices = ", ".join(registry.specs(entry.offer))
         raise InvalidInputError(
             f"The configuration names no {entry.noun}.",
@@ -100,11 +102,11 @@ def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> 
 
 
 def plan_of(
-    kind: ModuleKind, section: Section, config: Config, registry: Registry
+    kind: ModuleKind, section: ModuleSection, config: Config, registry: Registry
 ) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
     robot = section if isinstance(section, RobotConfig) else config.robot
-    parts = {"driver": robot} if section is robot else {"driver": robot, KINDS[kind].offer: section}
+    parts = {"driver": robot} if section is robot else {"driver": robot, KIND_ENTRIES[kind].offer: section}
     elsewhere = [name for name, part in parts.items() if part.python]
     check = partial(check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere)
     match section:
@@ -143,8 +145,10 @@ def check_instruction(text: str) -> str:
     """Return the instruction without blanks around it.
 
     Raises:
-        InvalidInputError: nothing is left.
+        InvalidInputError: nothing is left, or it is too long or holds a control character.
     """
+    if problem := instruction_problem(text):
+        raise InvalidInputError(f"{problem}.", hint="Write plain text on one line.", path="instruction")
     if not text.strip():
         raise InvalidInputError(
             "The instruction is empty.", hint='Say what to do, for instance "pick up the red cube".', path="instruction"

@@ -23,8 +23,10 @@ from roboneuron.server.tool import Stage, UnfinishedCallError
 T = TypeVar("T")
 
 
-Ask = Callable[[ServerRequestContext[Any, Any], types.CallToolRequestParams, str], Awaitable[bool | None]]
-"""Asks the person behind the client of a tool call; whether they agreed, None when it cannot ask.
+Ask = Callable[[ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str], Awaitable[str | None]]
+"""Asks the person behind the client of a tool call a question; the last argument is what they are to type, if anything.
+
+Answers with what was typed, or "yes"; empty when they did not agree, None when it cannot ask.
 
 Raises UnfinishedCallError when the question goes out as the answer to the call, which is then made again.
 """
@@ -131,7 +133,12 @@ class RequestContext:
 
     async def ask(self, question: str) -> bool | None:
         """See `CallContext.ask`."""
-        return None if self._ask is None else await self._ask(self._request, self._params, question)
+        answer = await self.ask_for(question, "")
+        return None if answer is None else bool(answer)
+
+    async def ask_for(self, question: str, what: str) -> str | None:
+        """See `CallContext.ask_for`."""
+        return None if self._ask is None else await self._ask(self._request, self._params, question, what)
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -31,9 +31,15 @@ class NoArguments(Arguments):
 
 
 class Result(BaseModel):
-    """Base of all result models."""
+    """Base of all result models.
+
+    Attributes:
+        sparse: of an answer that leaves out what its handler did not set; other answers have all fields.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    sparse: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -105,6 +111,10 @@ class CallContext(Protocol):
         """Whether the client's person agreed; None when it cannot ask one. May end the call and begin it again."""
         ...
 
+    async def ask_for(self, question: str, what: str) -> str | None:
+        """What the client's person types, such as a PIN; empty when they do not agree, None as `ask`."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Tool(Generic[A]):
@@ -121,6 +131,9 @@ class Tool(Generic[A]):
         idempotent: a second call changes nothing more.
         open_world: reaches what this server does not control (the physical world counts).
         listed: in tools/list; others are found by search and called by name all the same.
+        offered: whether it makes sense for the present robot, asked whenever tools are listed; called by name all
+            the same.
+        seldom: needed for few requests; a server of several robots may leave it out of its list, to be found by search.
         choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
         role: least role of a caller; when empty, viewers may call what is read-only and operators everything else.
         always: it stops something, so it is done however many calls are at work already.
@@ -139,6 +152,8 @@ class Tool(Generic[A]):
     idempotent: bool = False
     open_world: bool = False
     listed: bool = True
+    offered: Callable[[], bool] = lambda: True
+    seldom: bool = False
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
     role: str = ""
     always: bool = False
@@ -157,7 +172,8 @@ class Tool(Generic[A]):
         """Check the arguments and do it. Raises InvalidInputError for them, and what the handler raises."""
         outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        told = reply.result.model_dump(mode="json", exclude_unset=isinstance(self.result, Shape))
+        is_sparse = isinstance(self.result, Shape) or self.result.sparse
+        told = reply.result.model_dump(mode="json", exclude_unset=is_sparse)
         return Answer(structured=told, pictures=reply.pictures)
 
     def _choices(self) -> dict[str, dict[str, str]]:

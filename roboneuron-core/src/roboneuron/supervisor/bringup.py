@@ -29,6 +29,8 @@ _REASON_S = 1.0
 _PROGRESS_S = 5.0
 _ABSENT_S = 3.0
 """Modules may be started side by side, in any order: what a start needs may be started this much later."""
+_ROBOT_S = 1.0
+"""Likewise the robot, for cameras that need its driver."""
 _PERSISTENT_S = 1.5
 """An error that stays this long while a module is active but not ready ends the start; shorter ones may heal."""
 
@@ -60,6 +62,7 @@ class Bringup:
         slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
         phase: Phase = "stopped"
         try:
+            self._check_robot()
             self._process = slot.process = self._spawn(python)
             self._prove(deadline_s)
             phase = "running"
@@ -73,6 +76,20 @@ class Bringup:
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot.process)  # it died between its proof and here
             self._supervisor.on_change(slot.kind)
+
+    def _check_robot(self) -> None:
+        """Refuse at once a source that shows what the robot's own driver moves, when no robot is there to show."""
+        plan = self._plan
+        if self._slot.kind != "perception" or plan is None or plan.perception is None or not plan.perception.drivers:
+            return
+        robot = self._supervisor.slot("robot")
+        if not self._changes.wait_for(
+            lambda: robot.phase in ("starting", "running"), _ROBOT_S, self._slot.check_not_cancelled
+        ):
+            raise NotReadyError(
+                f"The images of {plan.perception.name!r} come from the driver of the robot, which is not running.",
+                hint="Call start_robot first.",
+            )
 
     def _spawn(self, python: str | None) -> ModuleProcess:
         settings, supervisor = self._settings, self._supervisor

@@ -16,6 +16,13 @@ from roboneuron.supervisor.process import ModuleProcess
 Phase = Literal["stopped", "starting", "running", "stopping", "exited"]
 
 
+_NEXT: Mapping[str, str] = {
+    "starting": "It is being started: wait for that; get_status tells how far it is.",
+    "stopping": "It is being stopped: wait for that, then start it again.",
+}
+"""What to do about a module that does not run yet, or any more."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exit:
     """How a module ended that nobody had stopped.
@@ -127,7 +134,7 @@ class Slot:
         """Raises StateError with the reason and `hint` unless the module runs."""
         if self.phase != "running":
             why = f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
-            raise StateError(f"{self.kind} is not running{why}", hint=hint)
+            raise StateError(f"{self.kind} is not running{why}", hint=_NEXT.get(self.phase, hint))
 
     def check_alive(self, doing: str) -> None:
         """Raises NotReadyError when the process has ended, with its last words, or is frozen."""

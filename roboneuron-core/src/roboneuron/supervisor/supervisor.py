@@ -13,7 +13,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config
+from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import RoboNeuronError, StateError
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
@@ -51,8 +51,10 @@ class Supervisor:
         log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
         process_events: what happens to module processes, for listeners.
         changes: told of all that happens to modules; its lock guards `slots`.
+        tightened: limits that modules are started with instead of the configured ones; None for these.
         slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
         on_join: functions of features that modules call with their node, as "module:attribute"; see `ModuleHost`.
+        needs_start: which stop keeps robot and control still, when they are started, until somebody asks for motion.
         secret_variables: environment variables that modules do not get.
         board: what the modules report.
         connection: the server's node.
@@ -69,10 +71,12 @@ class Supervisor:
     ) -> None:
         self.state_directory = state_directory
         self.changes = Changes()
+        self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
         self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self.process_events = ProcessEvents()
         self.secret_variables: set[str] = set()
+        self.needs_start = ""
         self.board = StatusBoard(self.changes)
         self.connection = connect(self.board.receive, self.log_directory)
         self.command = command
@@ -134,12 +138,17 @@ class Supervisor:
             working = self.slot(kind).choice
             other_name = beside is not None and working is not None and working.settings.node_name == kind
             slot = beside or self.slot(kind)
+            stopped_by = self.needs_start
+            if beside is not None and (report := self.report_of(self.slot(kind))) is not None:
+                stopped_by = report.needs_start
             settings = ModuleSettings(
                 kind=kind,
                 node_name=f"{kind}_b" if other_name else kind,
                 config=config,
                 state_directory=str(self.state_directory),
+                tightened=self.tightened,
                 shadow=beside is not None,
+                needs_start=stopped_by if kind in ("robot", "control") else "",
                 on_join=self.on_join,
             )
             choice = Choice(settings=settings, names=names or {}, plan=plan)

@@ -3,9 +3,17 @@
 # fmt: off
 from roboneuron.gate.motion.command import Verdict
 from roboneuron.gate.motion.limiter import MotionLimiter
-from roboneuron.gate.motion.rules import LIMITS, MotionRules, collision_of, inspector_of, motion_rules
+from roboneuron.gate.motion.rules import (
+    LIMITS,
+    MotionRules,
+    check_tighter,
+    collision_of,
+    inspector_of,
+    motion_rules,
+)
 from roboneuron.gate.motion.task_space import Motion
 
 __all__ = [
-    "LIMITS", "Motion", "MotionLimiter", "MotionRules", "Verdict", "collision_of", "inspector_of", "motion_rules",
+    "LIMITS", "Motion", "MotionLimiter", "MotionRules", "Verdict", "check_tighter", "collision_of", "inspector_of",
+    "motion_rules",
 ]

@@ -55,7 +55,7 @@ def pick_others(
             raise UnsafeError(f"The gripper would go to {value:g}, its travel is {travel}.")
         known[name] = value
     kept = {name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST}
-    return tuple(kept), np.array(list(kept.values()), dtype=np.float64)
+    return tuple(kept), np.array(list(kept.values()))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -157,7 +157,7 @@ class JointSpace:
         change = (wanted - before).tolist()
         parts = [self._acceleration[i] * passed_s / abs(c) if c else math.inf for i, c in enumerate(change)]
         part = min(parts)
-        return before + (wanted - before) * min(1.0, part), self._names[parts.index(part)]
+        return before + (wanted - before) * part, self._names[parts.index(part)]
 
     def is_reachable(self, before: F64, velocity: F64, passed_s: float) -> bool:
         """Whether the joints can have `velocity` so soon after `before`."""

@@ -26,6 +26,8 @@ _MEMORY_S = 1.0
 _SHORTEST_S = 1e-3
 _HALVINGS = 6
 """Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
+_STATE_STEP_S = 0.1
+"""Time in which the robot module executes a command that carries none."""
 _RESERVE = 0.98
 """Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve in task space."""
 
@@ -36,6 +38,11 @@ class _Stop(Exception):
     def __init__(self, name: str, reason: str, *, refuse: bool = False) -> None:
         super().__init__(reason)
         self.name, self.refuse = name, refuse
+
+
+def _ratio(of_all: float, of_step: float) -> float:
+    """How many steps the whole way has; 1 without a step."""
+    return of_all / of_step if of_step > 0.0 else 1.0
 
 
 class MotionLimiter:
@@ -66,11 +73,9 @@ class MotionLimiter:
         immediate: bool = False,
         longest_s: float = math.inf,
     ) -> None:
-        self._rules = rules
+        self._profile = profile
         self._names = profile.arm_joints
-        self._limits = joint_limits(profile, rules)
-        self._joints = JointSpace(self._names, [self._limits.get(name, JointLimit()) for name in self._names])
-        self._task = TaskSpace(rules)
+        self.use(rules)
         self._reach = Reach(profile)
         slides = prismatic_joints(profile.urdf)
         self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
@@ -78,6 +83,13 @@ class MotionLimiter:
         self._forward, self._inspect = forward, inspect
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
+
+    def use(self, rules: MotionRules) -> None:
+        """Apply other numbers and reactions from the next command on."""
+        self._rules = rules
+        self._limits = joint_limits(self._profile, rules)
+        self._joints = JointSpace(self._names, [self._limits.get(name, JointLimit()) for name in self._names])
+        self._task = TaskSpace(rules)
 
     def limit(self, command: JointCommand, joints: JointSample, now_s: float) -> Verdict:
         """Apply all limits to a command that is to be sent now.
@@ -180,12 +192,12 @@ class MotionLimiter:
             start = self._forward(self._sample(step, step.start))
         there = self._look(step, step.target)
         step.asked = self._motion(step, here, start, there)
-        self._pace(step, step.asked)
+        self._pace(step, step.asked, here, there)
         if step.acted:
             there = self._look(step, step.target)
         there = self._place(step, here, there)
         if not step.acted:
-            return step.asked
+            return self._motion(step, here, start, there) if self._extend(step, here, there) else step.asked
         # Check what would be sent once more: scaling for one limit may violate another one.
         sent, way = self._motion(step, here, start, there), step.target - step.start
         for name, _, reason in self._joints.pace(step.start, way, step.duration_s):
@@ -196,11 +208,45 @@ class MotionLimiter:
             raise _Stop(name, reason)
         for name, reason in self._broken(step, here, there):
             raise _Stop(name, reason)
-        return sent
+        return self._motion(step, here, start, there) if self._extend(step, here, there) else sent
 
-    def _pace(self, step: Step, asked: Motion) -> None:
+    def _extend(self, step: Step, here: Pose, there: Posture) -> bool:
+        """Give the command the time that the TCP needs from where it is measured; returns whether it needed more.
+
+        The limit of speed holds from the setpoint. An arm that was held up (a late command, a frozen driver) is behind
+        it and would catch up in the time of the command.
+        """
+        if self._immediate:
+            return False
+        times = self._behind(here, there, step.duration_s)
+        if times <= 1.0:
+            return False
+        way, least_s = step.target - step.start, step.duration_s
+        most_s = min(least_s * times / _RESERVE, self._longest_s)
+        if not self._joints.is_reachable(step.before, way / most_s, step.passed_s):
+            for _ in range(_HALVINGS):  # it brakes no harder than the joints may
+                middle_s = (least_s + most_s) / 2.0
+                if self._joints.is_reachable(step.before, way / middle_s, step.passed_s):
+                    least_s = middle_s
+                else:
+                    most_s = middle_s
+            most_s = least_s
+        step.duration_s = most_s
+        return True
+
+    def _behind(self, here: Pose, there: Posture, duration_s: float) -> float:
+        """How many times a speed limit the TCP would have on its way from the measured pose."""
+        motion = self._task.motion(here, here, there, duration_s, 0.0)
+        return max((times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0)
+
+    def _pace(self, step: Step, asked: Motion, here: Pose, there: Posture) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         way, share = step.target - step.start, 1.0
+        if self._immediate and (times := self._behind(here, there, _STATE_STEP_S)) > 1.0:
+            self._act(step, "speed", f"The arm is behind its setpoint; its TCP would be {times:.3g} times too fast.")
+            parts = [_ratio(asked.step_m, asked.speed_m_s * step.duration_s)]
+            parts.append(_ratio(asked.step_rad, asked.turn_rad_s * step.duration_s))
+            share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
         for name, part, reason in self._joints.pace(step.start, way, step.duration_s):
             self._act(step, name, reason)
             share = min(share, part)
@@ -272,6 +318,6 @@ class MotionLimiter:
     def _command(self, command: JointCommand, step: Step) -> JointCommand:
         if not step.acted and step.duration_s == command.duration_s:
             return command
-        position = np.array(command.position, dtype=np.float64)
+        position = command.position.copy()
         position[[command.names.index(name) for name in self._names]] = step.target
         return replace(command, position=position, duration_s=step.duration_s)

@@ -46,8 +46,8 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
     link, length = profile.tcp_link, _SHAPE_M
     while link in above and link != profile.base_link:
         joint = above.pop(link)
-        is_slide = joint.get("type") == "prismatic"
-        levers[joint.get("name", "")] = 1.0 if is_slide else length
+        is_slide = _attribute(joint, "type") == "prismatic"
+        levers[_attribute(joint, "name")] = 1.0 if is_slide else length
         length += math.hypot(*map(float, _attribute(joint.find("origin"), "xyz", "0 0 0").split()))
         if is_slide:
             limit = joint.find("limit")

@@ -35,6 +35,20 @@ LIMITS = (
 )
 """Names under which limits are configured (`on_<name>`), counted and reported."""
 
+_TIGHTER = {
+    "velocity_fraction": -1.0,
+    "acceleration_fraction": -1.0,
+    "max_step_m": -1.0,
+    "max_step_rad": -1.0,
+    "max_speed_m_s": -1.0,
+    "max_turn_rad_s": -1.0,
+    "workspace_lower_m": 1.0,
+    "workspace_upper_m": -1.0,
+    "min_height_m": 1.0,
+    "min_singular_value": 1.0,
+}
+"""Numbers that may be tightened at run time: to greater values (1) or smaller ones (-1)."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MotionRules:
@@ -72,8 +86,8 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         ConfigurationError: a box is empty, or a workspace is wider than the profile's.
     """
     widest = profile.workspace
-    lower = np.full(3, -np.inf) if widest is None else np.asarray(widest.lower_m, dtype=np.float64)
-    upper = np.full(3, np.inf) if widest is None else np.asarray(widest.upper_m, dtype=np.float64)
+    lower = np.full(3, -np.inf) if widest is None else widest.lower_m
+    upper = np.full(3, np.inf) if widest is None else widest.upper_m
     asked_lower = lower if config.workspace_lower_m is None else np.array(config.workspace_lower_m)
     asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
     if (asked_lower < lower).any() or (asked_upper > upper).any():
@@ -96,6 +110,23 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         zones=tuple(_box("zones", zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
         min_singular_value=config.min_singular_value,
     )
+
+
+def check_tighter(limits: LimitsConfig, configured: LimitsConfig) -> None:
+    """Refuse limits that allow anything which the configured ones do not.
+
+    Raises:
+        ConfigurationError: names the first key that is wider.
+    """
+    for key, sign in _TIGHTER.items():
+        value, bound = getattr(limits, key), getattr(configured, key)
+        if bound is not None and (value is None or (np.asarray(value) * sign < np.asarray(bound) * sign).any()):
+            raise ConfigurationError(f"limits.{key} = {value} is wider than {bound}; limits can only be tightened.")
+    if any(zone not in limits.zones for zone in configured.zones):
+        raise ConfigurationError("limits.zones lacks a configured zone; limits can only be tightened.")
+    for key in LimitsConfig.model_fields:
+        if key not in _TIGHTER and key != "zones" and getattr(limits, key) != getattr(configured, key):
+            raise ConfigurationError(f"limits.{key} cannot be changed while the robot runs.")
 
 
 def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfile | None:

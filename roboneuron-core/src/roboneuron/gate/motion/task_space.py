@@ -133,7 +133,7 @@ def _is_worse(end: float, start: float) -> bool:
 
 
 def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
-    """Whether the line from one point (3,) to another touches the box, or starts in it and does not lead out."""
+    """Whether the line from one point (3,) to another enters the box, or starts in it and does not lead out."""
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:
         return -_depth_outside_m(end_m, zone.lower_m, zone.upper_m) >= start_depth

@@ -1,0 +1,120 @@
+"""The PIN of the people who may release the emergency stop: optional, kept as a hash beside the latch.
+
+It keeps out whoever can type a command or answer a question, such as an agent with a shell, and does not know it. It
+does not keep out whoever can write to the state directory.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from roboneuron.errors import InvalidInputError, RefusedError
+from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.log_files import make_log_directory
+
+FILE_NAME = "emergency_stop.pin"
+"""Name of the hash in the state directory; a fleet has one for all its robots."""
+_ROBOTS = "robots"
+_LEAST, _MOST = 4, 64
+_N, _R, _P, _MEMORY = 2**15, 8, 1, 64 * 2**20
+"""Cost of scrypt: about 0.1 s and 32 MiB. Source: RFC 7914."""
+_FREE, _MOST_WAIT_S = 3, 300.0
+"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt, from 2 s on."""
+
+
+class ReleasePin:
+    """The PIN of one state directory; usable by several processes at once."""
+
+    def __init__(self, folder: Path, clock_s: Callable[[], float] = time.time) -> None:
+        """Args:
+        folder: where the latch is; that of one of several robots uses the PIN of the fleet.
+        clock_s: wall-clock time [s], the same for all processes.
+        """
+        shared = folder.parent.parent / FILE_NAME
+        self.path = shared if folder.parent.name == _ROBOTS else folder / FILE_NAME
+        self._clock_s = clock_s
+
+    @property
+    def is_set(self) -> bool:
+        """Whether a release needs it; also when the file cannot be read."""
+        return os.path.lexists(self.path)
+
+    def set(self, pin: str) -> None:
+        """Replace it, or remove it with an empty one; the caller has checked the one before.
+
+        Raises:
+            InvalidInputError: it is shorter or longer than a PIN may be.
+        """
+        if not pin:
+            self.path.unlink(missing_ok=True)
+            return
+        if not _LEAST <= len(pin) <= _MOST:
+            raise InvalidInputError(f"The PIN has {len(pin)} characters; {_LEAST} to {_MOST} are allowed.")
+        salt = secrets.token_bytes(16)
+        self._write({"salt": salt.hex(), "hash": _hash(pin, salt), "failures": 0, "not_before_s": 0.0})
+
+    def check(self, pin: str, *, who: str, audit: AuditLog) -> None:
+        """Do nothing when no PIN is set or this is it; attempts are counted, delayed and audited.
+
+        Raises:
+            RefusedError: it is wrong, or it was wrong so often that the next attempt has to wait.
+        """
+        if not self.is_set:
+            return
+        with self._locked():
+            reason = self._attempt(pin)
+        if reason:
+            record = AuditRecord(
+                who=who[:200], role="", tool="reset_emergency_stop", verdict="refused", rule="pin", reason=reason
+            )
+            audit.write_if_possible(record)
+            raise RefusedError(f"The emergency stop stays latched: {reason}", hint="Ask a person who knows the PIN.")
+
+    def _attempt(self, pin: str) -> str:
+        try:
+            known = json.loads(self.path.read_text(encoding="utf-8"))
+            salt, right = bytes.fromhex(known["salt"]), str(known["hash"])
+            failures, wait_s = int(known["failures"]), float(known["not_before_s"]) - self._clock_s()
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return f"the file of the PIN, {self.path}, cannot be read."
+        if 0.0 < wait_s <= _MOST_WAIT_S:
+            return f"after {failures} wrong PINs the next one is looked at in {wait_s:.0f} s."
+        if hmac.compare_digest(_hash(pin, salt), right):
+            self._write({**known, "failures": 0, "not_before_s": 0.0})
+            return ""
+        failures += 1
+        delay_s = 0.0 if failures <= _FREE else min(2.0 ** min(failures - _FREE, 16), _MOST_WAIT_S)
+        self._write({**known, "failures": failures, "not_before_s": self._clock_s() + delay_s})
+        return f"the PIN is {'missing' if not pin else 'wrong'} (attempt {failures} since the last right one)."
+
+    def _write(self, content: dict[str, Any]) -> None:
+        make_log_directory(self.path.parent)
+        new = self.path.with_name(f"{self.path.name}.new")
+        new.unlink(missing_ok=True)
+        descriptor = os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o600)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            json.dump(content, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, self.path)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One attempt at a time, so that each is counted."""
+        with self.path.with_name(f"{self.path.name}.lock").open("a") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+
+def _hash(pin: str, salt: bytes) -> str:
+    return hashlib.scrypt(pin.encode(), salt=salt, n=_N, r=_R, p=_P, maxmem=_MEMORY).hex()

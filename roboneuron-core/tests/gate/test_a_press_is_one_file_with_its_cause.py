@@ -1,0 +1,401 @@
+"""What the latch's file holds and who may read it, what is recorded, who is told when, and what the disk may refuse."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from roboneuron.errors import RefusedError, StateError, UnsafeError
+from roboneuron.gate import AuditLog, AuditRecord, EmergencyStopLatch
+from roboneuron.gate.estop import LatchState, press_together
+from roboneuron.gate.pin import ReleasePin
+
+TIME_NS = 1_700_000_000_000_000_000
+NOWHERE = Path("/proc/nothing/stop")
+"""A path that cannot be made."""
+CAUSE = """
+import sys, time
+from pathlib import Path
+from roboneuron.gate import EmergencyStopLatch
+print(ascii(EmergencyStopLatch(Path(sys.argv[1]), time.time_ns).read_state().who))
+"""
+
+
+def a_latch(path: Path) -> EmergencyStopLatch:
+    """As in another process; its clocks stand still."""
+    return EmergencyStopLatch(path, lambda: TIME_NS, lambda: 100.0)
+
+
+@pytest.fixture
+def latch(tmp_path: Path) -> EmergencyStopLatch:
+    return a_latch(tmp_path / "state" / "stop")
+
+
+@pytest.fixture
+def audit(tmp_path: Path) -> AuditLog:
+    return AuditLog(tmp_path / "audit", lambda: TIME_NS)
+
+
+@pytest.fixture
+def records(audit: AuditLog) -> list[AuditRecord]:
+    """What the audit writes."""
+    seen: list[AuditRecord] = []
+    audit.on_record = seen.append
+    return seen
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Files and directories that are waited for until they are on the disk."""
+    seen: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: seen.append(os.readlink(f"/proc/self/fd/{descriptor}")))
+    return seen
+
+
+@contextmanager
+def no_more(limit: int, least: int) -> Iterator[None]:
+    """This process has a limit, as of open files or of what it may write, lowered to `least`."""
+    soft, hard = resource.getrlimit(limit)
+    resource.setrlimit(limit, (least, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(limit, (soft, hard))
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def make_by_hand(path: Path, content: bytes) -> EmergencyStopLatch:
+    path.parent.mkdir()
+    path.write_bytes(content)
+    return a_latch(path)
+
+
+# What is written and read.
+
+
+def test_the_file_tells_who_and_why_and_when_and_everybody_may_read_it(latch) -> None:
+    before = os.umask(0)
+    try:
+        latch.press(who="ann", reason="smoke")
+    finally:
+        os.umask(before)
+    told = json.loads(latch.path.read_text())
+    assert told == {"who": "ann", "reason": "smoke", "time_ns": TIME_NS, "restored": 0}
+    assert stat.S_IMODE(latch.path.stat().st_mode) == 0o644
+    assert stat.S_IMODE(latch.path.parent.stat().st_mode) == 0o750
+
+
+def test_the_cause_is_cut_at_200_and_500_characters(latch, audit, records) -> None:
+    latch.latch(who="w" * 201, reason="r" * 501, audit=audit)
+    told = json.loads(latch.path.read_text())
+    assert (told["who"], told["reason"]) == ("w" * 200, "r" * 500)
+    assert (records[0].who, records[0].reason) == ("w" * 200, "r" * 500)
+
+
+def test_a_cause_in_any_script_reaches_the_other_processes(latch) -> None:
+    """JSON makes 12 characters of each of these."""
+    latch.press(who="\U0001f6d1" * 200, reason="\U0001f525" * 500)
+    found = a_latch(latch.path).read_state()
+    assert (found.who, found.reason) == ("\U0001f6d1" * 200, "\U0001f525" * 500)
+
+
+def test_a_cause_that_a_person_has_written_is_cut_too_and_was_never_restored(tmp_path: Path) -> None:
+    told = json.dumps({"who": "w" * 300, "reason": "r" * 600, "time_ns": 5})
+    found = make_by_hand(tmp_path / "state" / "stop", told.encode()).read_state()
+    assert found == LatchState(latched=True, who="w" * 200, reason="r" * 500, time_ns=5, restored=0)
+
+
+def test_a_cause_in_another_encoding_is_told_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+    told = '{"who": "Jürgen", "reason": "", "time_ns": 5}'.encode("latin-1")
+    assert make_by_hand(tmp_path / "state" / "stop", told).read_state().who == "J\ufffdrgen"
+
+
+def test_a_cause_is_read_as_utf_8_in_whatever_locale(latch) -> None:
+    found = make_by_hand(latch.path, '{"who": "Jürgen", "reason": "", "time_ns": 5}'.encode())
+    assert found.read_state().who == "Jürgen"
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", CAUSE, str(latch.path)], env=plain, timeout=60, check=True, capture_output=True
+    )
+    assert done.stdout.decode().strip() == r"'J\xfcrgen'"
+
+
+@pytest.mark.parametrize(("spaces", "who"), [(0, "ann"), (1, "")], ids=["16384 characters", "one more"])
+def test_a_file_without_end_costs_no_more_than_its_beginning(tmp_path: Path, spaces: int, who: str) -> None:
+    told = '{"who": "ann", "reason": "", "time_ns": 5'
+    content = told + " " * (16_384 - len(told) - 1 + spaces) + "}"
+    assert make_by_hand(tmp_path / "state" / "stop", content.encode()).read_state().who == who
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"[]", b'{"who": 1}', b'{"who": "a", "reason": "", "time_ns": Infinity}', b"[" * 10_000],
+    ids=["empty", "list", "no reason", "endless time", "deep"],
+)
+def test_a_damaged_file_is_a_latch_without_a_cause(tmp_path: Path, content: bytes) -> None:
+    latch = make_by_hand(tmp_path / "state" / "stop", content)
+    assert latch.is_latched()
+    assert latch.read_state() == LatchState(latched=True)
+    with pytest.raises(RefusedError) as refused:
+        latch.check()
+    assert refused.value.message == "The emergency stop is latched."
+
+
+def test_a_file_that_is_damaged_later_hides_no_cause_that_is_known(latch) -> None:
+    latch.press(who="ann", reason="smoke")
+    latch.path.write_bytes(b"")
+    assert latch.read_state().cause == "ann: smoke"
+    assert a_latch(latch.path).read_state() == LatchState(latched=True)
+
+
+def test_what_cannot_be_read_is_a_latch_without_a_cause(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert a_latch(tmp_path / "file" / "stop").read_state() == LatchState(latched=True)
+
+
+@pytest.mark.parametrize(
+    ("who", "reason", "cause"),
+    [("ann", "smoke", " by ann: smoke"), ("ann", "", " by ann"), ("", "smoke", ""), ("", "", "")],
+)
+def test_a_refusal_names_the_cause_and_then_what_the_caller_adds(latch, who: str, reason: str, cause: str) -> None:
+    assert latch.read_state() == LatchState(latched=False)
+    latch.press(who=who, reason=reason)
+    with pytest.raises(RefusedError) as refused:
+        latch.check()
+    assert refused.value.message == f"The emergency stop is latched{cause}."
+    with pytest.raises(RefusedError) as refused:
+        latch.check(" Hands off.")
+    assert refused.value.message == f"The emergency stop is latched{cause}. Hands off."
+
+
+# What is recorded, and what is on the disk.
+
+
+def test_a_latch_is_on_the_disk_and_recorded_when_it_returns(latch, audit, records, synced) -> None:
+    state = latch.latch(who="ann", reason="smoke", audit=audit)
+    assert state == LatchState(latched=True, who="ann", reason="smoke", time_ns=TIME_NS)
+    assert synced == [str(latch.path), str(latch.path.parent)]
+    expected = AuditRecord(who="ann", role="", tool="emergency_stop", verdict="latched", reason="smoke")
+    assert records == [expected]
+
+
+def test_a_latch_that_cannot_be_written_is_recorded_all_the_same(audit, records) -> None:
+    latch = a_latch(NOWHERE)
+    with pytest.raises(UnsafeError):
+        latch.latch(who="ann", reason="smoke", audit=audit)
+    assert [record.verdict for record in records] == ["latched"]
+    assert latch.read_state() == LatchState(latched=True, who="ann", reason="smoke", time_ns=TIME_NS)
+
+
+def test_a_disk_that_does_not_sync_stops_no_stop(latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    assert latch.latch(who="ann", reason="smoke").who == "ann"
+
+
+def test_a_full_disk_still_holds_the_latch_without_its_cause(latch) -> None:
+    with no_more(resource.RLIMIT_FSIZE, 0):
+        assert press_together([latch], who="ann", reason="smoke") == []
+    assert latch.path.read_bytes() == b""
+    assert a_latch(latch.path).is_latched()
+
+
+def test_pressing_and_resetting_leave_no_descriptor_open(latch, audit) -> None:
+    audit.write(AuditRecord(who="", role="", tool="", verdict=""))
+    before = descriptors()
+    for _ in range(3):
+        latch.latch(who="ann", reason="smoke", audit=audit)
+        latch.reset(who="bea", role="admin", audit=audit)
+    assert descriptors() == before
+    latch.reserve()
+    assert descriptors() == before + 1
+    assert latch.release()
+    assert not latch.release()
+    assert descriptors() == before
+
+
+def test_reserving_a_descriptor_where_there_is_none_is_no_failure(latch) -> None:
+    next_one = os.dup(0)
+    os.close(next_one)
+    with no_more(resource.RLIMIT_NOFILE, next_one):
+        latch.reserve()
+    assert not latch.release()
+
+
+# Who is told.
+
+
+def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_anybody_is_told(tmp_path: Path) -> None:
+    left, nowhere, right = a_latch(tmp_path / "left"), a_latch(NOWHERE), a_latch(tmp_path / "right")
+    seen: list[tuple[str, str, list[str]]] = []
+    for name, latch in (("left", left), ("nowhere", nowhere), ("right", right)):
+        latch.on_press(lambda name=name: seen.append(("press", name, sorted(os.listdir(tmp_path)))))
+        latch.on_pressed(lambda name=name: seen.append(("pressed", name, sorted(os.listdir(tmp_path)))))
+    failures = press_together([left, nowhere, right], who="ann", reason="smoke")
+    names, both = ("left", "nowhere", "right"), ["left", "right"]
+    assert seen == [("press", name, []) for name in names] + [("pressed", name, both) for name in names]
+    assert [str(NOWHERE) in failure.message for failure in failures] == [True]
+    assert all(latch.is_latched() for latch in (left, nowhere, right))
+
+
+def test_a_second_press_tells_nobody_and_the_first_cause_stays(latch) -> None:
+    told: list[str] = []
+    latch.on_press(lambda: told.append("press"))
+    latch.on_pressed(lambda: told.append("pressed"))
+    latch.press(who="ann", reason="smoke")
+    assert latch.press(who="bob", reason="fire").cause == "ann: smoke"
+    assert told == ["press", "pressed"]
+
+
+# Presses and resets of several processes.
+
+
+def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit) -> None:
+    latch.press(who="ann", reason="smoke")
+    a_latch(latch.path).reset(who="bea", role="admin", audit=audit)
+    assert press_together([latch], who="ann", reason="fire") == []  # it has not looked since
+    assert a_latch(latch.path).read_state().cause == "ann: fire"
+
+
+def test_a_press_that_could_not_be_written_is_written_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / "state").touch()  # in the way
+    latch = a_latch(tmp_path / "state" / "stop")
+    for _ in range(2):
+        assert len(press_together([latch], who="ann", reason="smoke")) == 1
+    (tmp_path / "state").unlink()
+    assert press_together([latch], who="ann", reason="smoke") == []
+    assert a_latch(latch.path).read_state().cause == "ann: smoke"
+
+
+def test_who_presses_what_another_has_latched_is_released_with_it(latch, audit) -> None:
+    other = a_latch(latch.path)
+    other.press(who="bob", reason="fire")
+    assert press_together([latch], who="ann", reason="smoke") == []
+    assert json.loads(latch.path.read_text())["who"] == "bob"
+    other.reset(who="bea", role="admin", audit=audit)
+    assert not latch.is_latched()
+    assert not latch.path.exists()
+
+
+def test_a_file_that_vanishes_while_it_is_pressed_fails_no_press(latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    a_latch(latch.path).press(who="bob", reason="fire")
+
+    def vanish(path: Path) -> os.stat_result:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "lstat", vanish)
+        assert press_together([latch], who="ann", reason="smoke") == []
+        assert latch.is_latched()
+    assert latch.is_latched()
+
+
+@pytest.mark.parametrize(("elapsed_s", "attempts"), [(0.0, 1), (0.75, 1), (1.0, 2), (60.0, 2)])
+def test_a_latch_that_cannot_be_written_is_tried_once_a_second(
+    tmp_path: Path, elapsed_s: float, attempts: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = [100.0]
+    latch = EmergencyStopLatch(tmp_path / "state" / "stop", lambda: TIME_NS, lambda: now_s[0])
+    latch.press(who="ann", reason="smoke")
+    latch.path.unlink()
+    latch.path.parent.rmdir()
+    latch.path.parent.symlink_to("/proc/nowhere/at/all")
+    assert latch.is_latched()
+    now_s[0] += elapsed_s
+    for _ in range(3):
+        assert latch.is_latched()
+    assert caplog.text.count("cannot be written") == attempts
+    assert caplog.text.count("vanished without a reset") == 1
+    assert latch.read_state().restored == 1
+
+
+# The reset.
+
+
+def test_a_reset_is_recorded_with_who_asked_and_what_refused_it(latch, audit, records, synced) -> None:
+    latch.press(who="ann", reason="smoke")
+    with pytest.raises(RefusedError):
+        latch.reset(who="bob", role="operator", audit=audit)
+    latch.reset(who="bea", role="admin", audit=audit)
+    tool = "reset_emergency_stop"
+    assert records == [
+        AuditRecord(who="bob", role="operator", tool=tool, verdict="refused", rule="role"),
+        AuditRecord(who="bea", role="admin", tool=tool, verdict="allowed"),
+    ]
+    assert synced == [str(latch.path.parent)], "the reset is on the disk, too"
+
+
+def test_a_reset_that_gives_no_pin_is_refused_where_one_is_set(latch, audit, records) -> None:
+    ReleasePin(latch.path.parent).set("4711")
+    latch.press(who="ann", reason="smoke")
+    with pytest.raises(RefusedError, match="missing"):
+        latch.reset(who="bea", role="admin", audit=audit)
+    assert latch.is_latched()
+    assert [record.verdict for record in records] == ["refused"]
+
+
+def test_a_reset_of_an_open_latch_makes_no_file(latch, audit) -> None:
+    latch.path.parent.mkdir()
+    latch.reset(who="bea", role="admin", audit=audit)
+    assert os.listdir(latch.path.parent) == []
+
+
+def test_a_reset_keeps_the_file_with_its_cause_under_another_name(latch, audit) -> None:
+    latch.press(who="ann", reason="smoke")
+    latch.reset(who="bea", role="admin", audit=audit)
+    assert os.listdir(latch.path.parent) == ["stop.reset"]
+    assert json.loads((latch.path.parent / "stop.reset").read_text())["who"] == "ann"
+
+
+def test_a_latch_that_was_never_written_is_written_before_it_is_reset(tmp_path: Path, audit) -> None:
+    """Without a file that can be written there is no reset."""
+    (tmp_path / "state").touch()  # in the way
+    latch = a_latch(tmp_path / "state" / "stop")
+    press_together([latch], who="ann", reason="smoke")
+    with pytest.raises(StateError, match="stays latched"):
+        latch.reset(who="bea", role="admin", audit=audit)
+    (tmp_path / "state").unlink()
+    latch.reset(who="bea", role="admin", audit=audit)
+    assert not latch.is_latched()
+    assert json.loads((tmp_path / "state" / "stop.reset").read_text())["who"] == "ann"
+
+
+def test_a_directory_in_place_of_the_file_is_not_reset(latch, audit) -> None:
+    latch.path.mkdir(parents=True)
+    with pytest.raises(StateError, match="it is a directory; it stays latched") as failed:
+        latch.reset(who="bea", role="admin", audit=audit)
+    assert isinstance(failed.value.__cause__, OSError)
+    assert failed.value.__cause__.errno == errno.EISDIR
+    assert latch.is_latched()
+
+
+def test_a_press_after_a_reset_that_the_disk_refused_stops_the_robot(
+    latch, audit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    latch.on_press(lambda: told.append("press"))
+
+    def fail(path: Path) -> os.stat_result:
+        raise OSError(errno.EIO, "Input/output error", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "lstat", fail)
+        with pytest.raises(StateError, match="stays latched"):
+            latch.reset(who="bea", role="admin", audit=audit)
+    press_together([latch], who="ann", reason="smoke")
+    assert told == ["press"]

@@ -1,0 +1,216 @@
+"""The server's knowledge of stops and instructions, on a supervisor without processes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, START_PARAMETER
+from roboneuron.server.motion_starts import MotionStarts
+from roboneuron.supervisor.health import ModuleView, Report
+
+RECEIVED_S = 1.0
+
+
+class Process:
+    """A module that takes its parameters as a real one does, unless it hangs."""
+
+    def __init__(self, kind: str, pid: int, *, instruction: str = "", needs_start: str = "") -> None:
+        self.kind, self.pid = kind, pid
+        self.instruction, self.needs_start, self.stops = instruction, needs_start, int(bool(needs_start))
+        self.hangs = self.ended = False
+        self.told: list[dict[str, Any]] = []
+
+    @property
+    def report(self) -> Report:
+        return Report(
+            received_s=RECEIVED_S, instruction=self.instruction, needs_start=self.needs_start, stops=self.stops
+        )
+
+    def stop(self, reason: str) -> None:
+        self.needs_start, self.stops = reason, self.stops + 1
+
+    def set(self, values: dict[str, Any], timeout_s: float, check: object = None) -> str:
+        if self.hangs:
+            raise NotReadyError("it hangs")
+        self.told.append(values)
+        if INSTRUCTION_PARAMETER in values:
+            self.instruction = values[INSTRUCTION_PARAMETER]
+        if START_PARAMETER in values:
+            if values[START_PARAMETER] != self.stops:
+                return "a stop came since"
+            self.needs_start = ""
+        return ""
+
+
+class Machine:
+    """A supervisor of one process of each kind."""
+
+    def __init__(self) -> None:
+        self.needs_start = ""
+        self.changes = SimpleNamespace(lock=threading.RLock(), wait_for=lambda look, timeout_s: look())
+        self.slots: dict[str, list[Any]] = {
+            kind: [self.slot_of(Process(kind, 10 + number))] for number, kind in enumerate(MODULE_KINDS)
+        }
+
+    def slot_of(self, process: Process) -> Any:
+        choice = SimpleNamespace(settings=SimpleNamespace(status_name=f"r/{process.kind}"))
+        slot = SimpleNamespace(kind=process.kind, phase="running", process=process, choice=choice)
+        slot.check_alive = lambda doing: None
+        return slot
+
+    def __getitem__(self, kind: str) -> Process:
+        return cast(Process, self.slots[kind][0].process)
+
+    def views(self) -> list[ModuleView]:
+        found = []
+        for kind in MODULE_KINDS:
+            slot = self.slots[kind][0]
+            report = slot.process.report if slot.phase == "running" else None
+            found.append(ModuleView(kind=kind, phase=slot.phase, process=slot.process, report=report))
+        return found
+
+    def report_of(self, slot: Any) -> Report:
+        return cast(Report, slot.process.report)
+
+    def parameters(self, node: str, process: Process) -> Process:
+        return process
+
+    def end(self, slot: Any) -> None:
+        slot.process.ended, slot.phase = True, "stopped"
+
+    def require_running(self, kind: str) -> None:
+        raise StateError(f"{kind} is not running")
+
+
+@pytest.fixture
+def machine() -> Machine:
+    return Machine()
+
+
+@pytest.fixture
+def starts(machine: Machine) -> MotionStarts:
+    made = MotionStarts(cast(Any, machine))
+    made.look(False)
+    return made
+
+
+@pytest.mark.parametrize("kind", ["robot", "perception", "control"])
+def test_a_module_that_ends_takes_the_policy_s_instruction(machine: Machine, starts: MotionStarts, kind: str) -> None:
+    starts.give("pick it up", 1.0)
+    machine.slots[kind][0].phase = "exited"
+    starts.look(False)
+    starts.settle()
+    assert (machine["inference"].instruction, starts.instruction) == ("", "")
+    assert starts.reason == f"{kind} has ended by itself"
+    before = starts.stops
+    starts.look(False)
+    assert starts.stops == before, "once"
+
+
+def test_whoever_settles_meets_no_thread_that_has_not_begun(
+    machine: Machine, starts: MotionStarts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A call asks for motion in the moment in which the watching thread sees a stop."""
+    begins, start = threading.Event(), threading.Thread.start
+
+    def slow_start(thread: threading.Thread) -> None:
+        if thread.name == "take-back":
+            begins.set()
+            time.sleep(0.2)
+        start(thread)
+
+    watching = threading.Thread(target=starts.look)
+    watching.start()
+    watching.join()
+    monkeypatch.setattr(threading.Thread, "start", slow_start)
+    machine["control"].stop("the server gave no sign of life")
+    watching = threading.Thread(target=starts.look)
+    watching.start()
+    assert begins.wait(5.0)
+    starts.settle()
+    watching.join()
+
+
+def test_robot_and_control_that_come_back_keep_still(machine: Machine, starts: MotionStarts) -> None:
+    machine.slots["control"][0].phase = "exited"
+    starts.look(False)
+    assert machine.needs_start == "control has ended by itself"
+    machine.slots["control"] = [machine.slot_of(Process("control", 99, needs_start=machine.needs_start))]
+    starts.arm_started()
+    assert machine["control"].needs_start, "a start of a module is no start of motion"
+    starts.permit()
+    assert (machine["control"].needs_start, machine.needs_start) == ("", "")
+
+
+def test_the_loss_of_a_camera_ends_no_motion_of_agents(machine: Machine, starts: MotionStarts) -> None:
+    machine.slots["perception"][0].phase = "exited"
+    starts.look(False)
+    assert (starts.stops, starts.arm_stops, machine.needs_start) == (1, 0, "")
+
+
+def test_a_fault_of_the_robot_is_a_stop(machine: Machine, starts: MotionStarts) -> None:
+    stops = starts.permit()
+    starts.give("pick it up", 1.0)
+    machine["robot"].stop("a fault of the robot: reflex")
+    starts.look(False)
+    starts.settle()
+    assert machine["inference"].instruction == ""
+    with pytest.raises(StateError, match="reflex"):
+        starts.check(stops)
+
+
+def test_a_stop_that_nobody_has_seen_yet_is_not_ended_by_a_request_from_before(
+    machine: Machine, starts: MotionStarts
+) -> None:
+    machine["robot"].stop("a fault of the robot: reflex")
+    starts.look(False)
+    machine["robot"].stop("a fault of the robot: collision")
+    machine["robot"].told.clear()
+    starts._seen[machine["robot"].pid] = 1
+    with pytest.raises(RefusedError, match="stopped meanwhile: a fault of the robot: collision"):
+        starts._arm()
+    assert machine["robot"].told == []
+
+
+def test_the_emergency_stop_ends_what_was_asked_for_once(machine: Machine, starts: MotionStarts) -> None:
+    starts.give("pick it up", 1.0)
+    for is_latched in (True, True, False):
+        starts.look(is_latched)
+    assert (starts.stops, starts.instruction) == (1, "")
+
+
+def test_an_instruction_is_taken_back_from_everybody_who_holds_it(machine: Machine, starts: MotionStarts) -> None:
+    successor = Process("inference", 77)
+    machine.slots["inference"].append(machine.slot_of(successor))
+    ticket, refused = starts.give("pick it up", 1.0)
+    assert (refused, successor.instruction) == ("", "pick it up")
+    starts.withdraw(ticket)
+    assert (machine["inference"].instruction, successor.instruction) == ("", "")
+
+
+def test_a_policy_that_was_loaded_meanwhile_follows_the_end(machine: Machine, starts: MotionStarts) -> None:
+    ticket, _ = starts.give("pick it up", 1.0)
+    starts.withdraw(ticket)
+    successor = machine.slot_of(Process("inference", 77, instruction="pick it up"))
+    starts.follow(successor, ticket)
+    assert successor.process.instruction == ""
+
+
+def test_whoever_ends_takes_no_other_s_instruction(machine: Machine, starts: MotionStarts) -> None:
+    mine, _ = starts.give("pick it up", 1.0)
+    starts.give("put it down", 1.0)
+    starts.withdraw(mine)
+    assert machine["inference"].instruction == starts.instruction == "put it down"
+
+
+def test_a_policy_that_does_not_give_it_back_is_ended(machine: Machine, starts: MotionStarts) -> None:
+    ticket, _ = starts.give("pick it up", 1.0)
+    machine["inference"].hangs = True
+    starts.withdraw(ticket)
+    assert machine["inference"].ended
