@@ -1,9 +1,0 @@
-"""The feature as every server loads it: what it does begins with `[robots.<name>]`, see `rn_fleet.fleet`."""
-
-from __future__ import annotations
-
-from roboneuron import Feature
-
-
-class FleetFeature(Feature[None]):
-    """Adds nothing to the server of one robot."""

@@ -1,0 +1,56 @@
+"""Which plugins a command is about: those that a configuration does not disable, and those that a name means."""
+
+from __future__ import annotations
+
+import tomllib
+from argparse import ArgumentParser
+from pathlib import Path
+
+from roboneuron import ConfigurationError
+from roboneuron.feature import Offer, PluginRecord, Registry, nearest
+
+
+def add_config(parser: ArgumentParser) -> None:
+    """Add --config, for `read_disabled`."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply")
+
+
+def read_disabled(config: Path | None) -> tuple[str, ...]:
+    """`disabled_plugins` of a configuration file, read without the models that check the rest of it."""
+    if config is None:
+        return ()
+    try:
+        names = tomllib.loads(config.read_text(encoding="utf-8")).get("disabled_plugins", [])
+    except FileNotFoundError as error:
+        hint = f"Make one to edit: roboneuron config show > {config}. Or leave --config out."
+        raise ConfigurationError(f"There is no file {config.absolute()}.", hint=hint) from error
+    except OSError as error:
+        raise ConfigurationError(f"{config} cannot be read: {error.strerror}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{config} is no valid TOML: {error}.") from error
+    if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
+        raise ConfigurationError(f"disabled_plugins in {config} is {names!r}, expected a list of names of plugins.")
+    return tuple(names)
+
+
+def find(registry: Registry, name: str, kind: str | None = None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
+    """The plugins that `name` means, each with the offers it means: all for a plugin or a distribution,
+    else those so called.
+
+    Raises:
+        ConfigurationError: nothing (of that kind) has the name; names the nearest.
+    """
+    found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
+    names: set[str] = set()
+    for record in registry.plugins:
+        offers = tuple(o for o in record.offers if kind is None or o.spec.kind == kind)
+        whole = name in (record.name, record.distribution)
+        named = offers if whole else tuple(o for o in offers if o.spec.name == name)
+        names |= {record.name, record.distribution, *(o.spec.name for o in offers)}
+        if named or whole:
+            found.append((record, named))
+    if not found:
+        hint = nearest(name, names, "See `roboneuron plugins list`.")
+        of_kind = f" of kind {kind}" if kind else ""
+        raise ConfigurationError(f"No installed plugin or offer{of_kind} is {name!r}.", hint=hint)
+    return found

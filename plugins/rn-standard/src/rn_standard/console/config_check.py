@@ -1,0 +1,38 @@
+"""The command `roboneuron config check`."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+
+class ConfigCheck:
+    """Say what is wrong with a roboneuron.toml, as `roboneuron serve` would at its start."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron config check`."""
+        parser.add_argument("file", type=Path, help="the roboneuron.toml")
+
+    def run(self, arguments: Namespace) -> int:
+        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a running server may hold."""
+        from roboneuron.feature import (
+            check_configuration,
+            discover,
+            load_config,
+            make_served,  # heavy
+        )
+
+        config = load_config(arguments.file)
+        if not config.robots:
+            check_configuration(config, discover(config.disabled_plugins))
+        served = make_served(config)  # derives the tools of [[expose]]
+        try:
+            served.check()
+        finally:
+            served.close()
+        if config.robots:
+            named = ", ".join(f"{name} ({one.robot.name}, /{one.namespace})" for name, one in config.robots.items())
+            print(f"{arguments.file} is valid: robots {named}.")
+            return 0
+        print(f"{arguments.file} is valid: robot {config.robot.name!r}, namespace /{config.namespace}.")
+        return 0

@@ -1,0 +1,211 @@
+"""Status without a server's help: what modules say on /diagnostics, and which servers use this state directory.
+
+A server on stdio talks to the client that started it and to nobody else. Its modules report on /diagnostics five times
+a second, its process id is in the name of its log directory, and the emergency stop is a file: that is enough to show
+how the modules are, without disturbing anybody.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rn_standard.console.log_runs import log_runs
+from rn_standard.console.status import ModuleStatus, ServerStatus
+from roboneuron.feature import (
+    ESTOP_FILE,
+    MODULE_KINDS,
+    EmergencyStopLatch,
+    Health,
+    ModuleKind,
+    ModuleView,
+    Report,
+    assess,
+    robot_folder,
+)
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+FORGET_S = 5.0
+"""A module that has been silent for longer, and whose process is gone, is no longer shown."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FoundServer:
+    """A server process that is alive.
+
+    Attributes:
+        domain: its ROS domain.
+        log_directory: of its run.
+    """
+
+    pid: int
+    domain: str
+    log_directory: Path
+
+
+def find_servers(state_directory: Path) -> list[FoundServer]:
+    """Servers that log below this state directory and are alive, the newest first; another user's are left out."""
+    found = []
+    folders = [state_directory, *sorted(robot_folder(state_directory).parent.glob("*"))]
+    for run in (run for folder in folders for run in log_runs(folder)):
+        command = _read_proc(run.pid, "cmdline").split("\0")
+        if "serve" in command and any("roboneuron" in word for word in command):
+            variables = dict(entry.partition("=")[::2] for entry in _read_proc(run.pid, "environ").split("\0"))
+            found.append(FoundServer(pid=run.pid, domain=variables.get("ROS_DOMAIN_ID") or "0", log_directory=run.path))
+    return found
+
+
+def _read_proc(pid: int, name: str) -> str:
+    try:
+        return Path(f"/proc/{pid}/{name}").read_text(encoding="utf-8", errors="replace")
+    except OSError:  # gone, or another user's
+        return ""
+
+
+class DiagnosticsListener:
+    """Keeps the newest report of every module process in this ROS domain; close it."""
+
+    def __init__(self, state_directory: Path) -> None:
+        self._state_directory = state_directory
+        self._reports: dict[tuple[str, str, int], Report] = {}
+        self._lock = threading.Lock()
+
+    def open(self) -> None:
+        """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
+        from roboneuron.feature import prepare_environment
+
+        prepare_environment()
+        from diagnostic_msgs.msg import DiagnosticArray  # heavy
+
+        from roboneuron.feature import (
+            DIAGNOSTICS,
+            STATUS,
+            RosLink,  # heavy
+        )
+
+        self._link = RosLink(f"roboneuron_status_{os.getpid()}")
+        self._link.open()
+        self._link.subscribe(DiagnosticArray, DIAGNOSTICS, self.receive, STATUS)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._link.close()
+
+    def receive(self, message: DiagnosticArray) -> None:
+        """Keep the reports of modules in a message; from the thread of the ROS link."""
+        for status in message.status:
+            namespace, _, node = status.name.strip("/").rpartition("/")
+            values = {pair.key: pair.value for pair in status.values}
+            if _kind_of(node) is None or "state" not in values or not status.hardware_id.isdecimal():
+                continue  # the supervisor's own words, or somebody else's
+            report = Report.from_values(values, received_s=time.monotonic())
+            with self._lock:
+                self._reports[namespace, node, int(status.hardware_id)] = report
+
+    def servers_elsewhere(self) -> list[str]:
+        """A line for each server whose modules cannot be heard from this ROS domain."""
+        return [
+            f"A server (pid {server.pid}) runs in ROS domain {server.domain}: "
+            f"ROS_DOMAIN_ID={server.domain} roboneuron status"
+            for server in find_servers(self._state_directory)
+            if server.domain != own_domain()
+        ]
+
+    def read_status(self) -> list[ServerStatus]:
+        """One status for each robot that modules report for, and one without modules when none does."""
+        now_s = time.monotonic()
+        with self._lock:
+            for key, report in list(self._reports.items()):
+                if now_s - report.received_s > FORGET_S and not Path(f"/proc/{key[2]}").exists():
+                    del self._reports[key]
+            reports = dict(self._reports)
+        domain = own_domain()
+        servers = [server for server in find_servers(self._state_directory) if server.domain == domain]
+        found = []
+        for namespace in sorted({key[0] for key in reports}) or [""]:
+            modules = [
+                ModuleStatus.from_report(node, pid, _health(node, pid, report, now_s), report)
+                for (place, node, pid), report in sorted(reports.items(), key=_in_order)
+                if place == namespace
+            ]
+            server = _server_of([m.pid for m in modules if m.pid is not None], servers)
+            runs = [one.log_directory for one in servers if server is not None and one.pid == server.pid]
+            directory = self._folder_of(namespace, runs)
+            latch = EmergencyStopLatch(directory / ESTOP_FILE, time.time_ns).read_state()
+            found.append(
+                ServerStatus(
+                    source=f"/diagnostics of ROS domain {domain}",
+                    namespace=namespace,
+                    pid=server.pid if server is not None else None,
+                    emergency_stop=latch.latched,
+                    emergency_stop_cause=latch.cause,
+                    log_directory=str(server.log_directory) if server is not None else "",
+                    modules=tuple(modules),
+                )
+            )
+        return found
+
+    def _folder_of(self, namespace: str, runs: list[Path]) -> Path:
+        """Where the latch of a robot is: a server of several robots notes in each one's folder whose it is.
+
+        The state directory itself for a robot that is alone in its server.
+
+        Args:
+            namespace: of the robot.
+            runs: log directories of its server, `<folder>/log/<run>`; none when the server has ended.
+        """
+        folders = sorted(robot_folder(self._state_directory).parent.glob("*"))
+        own = [folder for folder in folders if not runs or any(run.is_relative_to(folder) for run in runs)]
+        return next((folder for folder in own if _noted_namespace(folder) == namespace), self._state_directory)
+
+
+def own_domain() -> str:
+    """The ROS domain of this process."""
+    return os.environ.get("ROS_DOMAIN_ID") or "0"
+
+
+def _noted_namespace(folder: Path) -> str:
+    try:
+        return (folder / "namespace").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]:
+    (namespace, node, pid), _ = item
+    kind = _kind_of(node)
+    return namespace, MODULE_KINDS.index(kind) if kind is not None else len(MODULE_KINDS), pid
+
+
+def _kind_of(node: str) -> ModuleKind | None:
+    """Which module a node is: nodes are called as their kind, after a switch with a suffix."""
+    return next((kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None)
+
+
+def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
+    """As the server judges it, except that a start in progress looks like "waiting"."""
+    if not Path(f"/proc/{pid}").exists():
+        return "exited"
+    kind = _kind_of(node)
+    assert kind is not None
+    return assess(ModuleView(kind=kind, phase="running", report=report), now_s)
+
+
+def _server_of(pids: list[int], servers: list[FoundServer]) -> FoundServer | None:
+    """The server that is the parent of these modules; without modules the newest one."""
+    if not pids:
+        return servers[0] if servers else None
+    parents = {_parent(pid) for pid in pids}
+    return next((server for server in servers if server.pid in parents), None)
+
+
+def _parent(pid: int) -> int:
+    """Source: proc(5): the fourth field of /proc/<pid>/stat, the second being a name in parentheses."""
+    fields = _read_proc(pid, "stat").rpartition(")")[2].split()
+    return int(fields[1]) if len(fields) > 1 else 0

@@ -1,0 +1,54 @@
+"""The command `roboneuron logs`."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+_MODULES = ("robot", "perception", "inference", "control", "server")
+
+
+class Logs:
+    """Show the logs of a server's newest run: those of its modules and its own, in order of time.
+
+    They are files below the state directory; no server is needed.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron logs`."""
+        parser.add_argument("module", metavar="MODULE", nargs="?", choices=_MODULES, help=", ".join(_MODULES))
+        parser.add_argument("-f", "--follow", action="store_true", help="go on with what is added, until Ctrl-C")
+        parser.add_argument("-n", "--lines", type=int, default=50, metavar="N", help="the newest N lines (50); 0: all")
+        parser.add_argument("--runs", action="store_true", help="list the runs instead")
+        parser.add_argument("--run", metavar="NAME", help="a run of that list instead of the newest")
+        where = parser.add_mutually_exclusive_group()
+        where.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the state directory"
+        )
+        where.add_argument("--state", type=Path, metavar="DIRECTORY", help="the state directory itself")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron logs`."""
+        from rn_standard.console.log_reading import LogView, choose_run
+        from rn_standard.console.log_runs import log_runs
+        from rn_standard.console.table import make_console
+        from roboneuron.feature import state_directory
+
+        configured = None
+        if arguments.config is not None:
+            from roboneuron.feature import load_config
+
+            configured = load_config(arguments.config).supervisor.state_directory
+        directory = state_directory(str(arguments.state) if arguments.state else configured)
+        if arguments.runs:
+            for run in log_runs(directory):
+                print(f"{run.path.name}  {', '.join(run.files()) or 'empty'}")
+            return 0
+        view = LogView(choose_run(directory, arguments.run), arguments.module, make_console())
+        view.show_last(arguments.lines)
+        if arguments.follow:
+            try:
+                view.follow(None if arguments.run else directory)
+            except KeyboardInterrupt:  # how following ends
+                return 0
+        return 0

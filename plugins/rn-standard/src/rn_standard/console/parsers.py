@@ -1,0 +1,55 @@
+"""All commands of `roboneuron` as one argument parser: for completion and for the reference page."""
+
+from __future__ import annotations
+
+import logging
+from argparse import Action, ArgumentParser, _SubParsersAction
+from collections.abc import Iterator
+from pathlib import Path
+
+import shtab
+
+from roboneuron import RoboNeuronError
+from roboneuron.feature import COMMANDS, add_verbosity, discover, installed_commands, load_command, spoken
+
+log = logging.getLogger(__name__)
+_FOLDERS = ("DIRECTORY", "FOLDER")
+ONLY_ACTIONS = "see its actions"
+"""Help of a word that only stands before actions."""
+
+
+def whole_parser() -> ArgumentParser:
+    """Every command with its arguments; one of a plugin that cannot be loaded is logged and left out."""
+    registry = discover()
+    parser = ArgumentParser(prog="roboneuron")
+    parser.add_argument("--version", action="store_true", help="show program's version number and exit")
+    commands = parser.add_subparsers(dest="command")
+    groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
+    listed = {name: command.summary for name, command in COMMANDS.items()}
+    for name, summary in {**listed, **installed_commands(registry)}.items():
+        try:
+            module = load_command(name, None if name in COMMANDS else registry)
+        except RoboNeuronError as error:
+            log.warning("The command %s is left out: %s", name, error)
+            continue
+        group, _, word = spoken(name).rpartition(" ")
+        if group and group not in groups:
+            groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(dest="action")
+        holder = groups.get(group, commands)
+        command = holder.add_parser(word, help=summary, description=module.__doc__)
+        module.configure(command)
+        getattr(module, "add_installed_flags", lambda _: None)(command)
+        add_verbosity(command)
+    for action in _actions(parser):
+        if action.type is Path and not action.choices:
+            is_folder = action.metavar in _FOLDERS
+            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
+    return parser
+
+
+def _actions(parser: ArgumentParser) -> Iterator[Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, _SubParsersAction):
+            for subparser in action.choices.values():
+                yield from _actions(subparser)

@@ -1,0 +1,50 @@
+"""The flag `--option` of every command that makes plugins: options of any of them, in one notation."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import tomllib
+from argparse import ArgumentParser
+from collections.abc import Sequence
+
+from roboneuron import ConfigurationError
+
+FORM = "[PLUGIN.]NAME=VALUE"
+
+
+def add_option(parser: ArgumentParser, own: str) -> None:
+    """Add --option, for `read_options`; `own` says whose options need no plugin's name, such as "the backend"."""
+    told = f"an option of any plugin, VALUE as in TOML or JSON, else text; without PLUGIN one of {own}; repeatable"
+    parser.add_argument("--option", action="append", default=[], metavar=FORM, help=told)
+
+
+def read_options(texts: Sequence[str], own: str) -> dict[str, dict[str, object]]:
+    """Options by plugin, of texts such as `oft.unnorm_key=tiny`; without a plugin's name they are those of `own`.
+
+    Raises:
+        ConfigurationError: a text is not of that form.
+    """
+    found: dict[str, dict[str, object]] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        plugin, dot, option = name.rpartition(".")
+        if not (equals and option.isidentifier()) or (dot and not plugin):
+            raise ConfigurationError(
+                f"--option is {text!r}, expected {FORM}.",
+                hint="Write gain=0.5, or servo.gain=0.5 for an option of the plugin servo.",
+            )
+        found.setdefault(plugin or own, {})[option] = read_value(value)
+    return found
+
+
+def read_value(text: str) -> object:
+    """A value as in TOML or JSON where it can be read as such, else the text; dates stay text."""
+    try:
+        value: object = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        try:
+            return json.loads(text)
+        except ValueError:
+            return text
+    return text if isinstance(value, datetime.date | datetime.time) else value

@@ -1,0 +1,204 @@
+"""The command `roboneuron plugins list`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import textwrap
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+
+from rn_standard.console.chosen_plugins import add_config, read_disabled
+from roboneuron import CONTRACT_VERSION, __version__
+from roboneuron.feature import (
+    WHOLE,
+    Offer,
+    PluginRecord,
+    Registry,
+    Status,
+    discover,
+    install_command,
+    known_names,
+    spoken,
+)
+
+SCHEMA_VERSION = 1
+"""Raised when a key of the JSON document changes its meaning or goes; new keys may come at any time."""
+STYLES = {
+    Status.READY: "green",
+    Status.DISABLED: "dim",
+    Status.UNAVAILABLE: "yellow",
+    Status.INCOMPATIBLE: "red",
+    Status.CONFLICT: "red",
+    Status.FAILED: "bold red",
+}
+"""Colour of each status."""
+_CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33"}
+_HEADING = ("KIND", "NAME", "STATUS", "PLUGIN", "SUMMARY")
+_NARROWEST = 24
+"""Columns a summary gets even on a terminal too narrow for it."""
+
+
+class PluginsList:
+    """List the installed plugins, what they offer, and what to do about each that is not ready."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron plugins list`."""
+        add_config(parser)
+        told = "show each thing that they offer, with a summary; log more to standard error"
+        parser.add_argument("-v", "--verbose", action="count", default=0, help=told)
+        parser.add_argument("--json", action="store_true", help="machine-readable, see docs/reference/plugins-list.md")
+        parser.add_argument(
+            "--strict", action="store_true", help="exit with 1 unless every plugin that is not disabled is ready"
+        )
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron plugins list`."""
+        registry = discover(read_disabled(arguments.config))
+        if arguments.json:
+            import json
+
+            print(json.dumps(to_document(registry), indent=2))
+        elif arguments.verbose and registry.plugins:
+            print_table(registry)
+        else:
+            print_short(registry)
+        return 1 if arguments.strict and _troubled(registry) else 0
+
+
+def _troubled(registry: Registry) -> tuple[PluginRecord, ...]:
+    """Plugins that are not ready, those left out on purpose aside."""
+    return tuple(p for p in registry.plugins if p.status not in (Status.READY, Status.DISABLED))
+
+
+def to_document(registry: Registry) -> dict[str, object]:
+    """The listing as plain data; docs/reference/plugins-list.schema.json describes it."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "core": __version__,
+        "contract": CONTRACT_VERSION,
+        "plugins": [
+            {
+                "name": p.name,
+                "distribution": p.distribution,
+                "version": p.version,
+                "module": p.module,
+                "status": p.status.value,
+                "reason": p.reason,
+                "offers": [_offer_document(offer) for offer in p.offers],
+            }
+            for p in registry.plugins
+        ],
+    }
+
+
+def _offer_document(offer: Offer) -> dict[str, object]:
+    return {
+        "kind": offer.spec.kind,
+        "name": offer.spec.name,
+        "summary": offer.spec.summary,
+        "status": offer.status.value,
+        "reason": offer.reason,
+        "target": offer.spec.target,
+        "config": offer.spec.config,
+        "requires": [r.module for r in offer.spec.requires],
+    }
+
+
+def print_short(registry: Registry) -> None:
+    """Write what is ready by kind, then all that is not with what to do about it, then what is not installed."""
+    if not registry.plugins:
+        print(f"No plugins are installed. For a start: {install_command(WHOLE)}")
+        return
+    ready: dict[str, list[str]] = {}
+    for offer in sorted(registry.all_offers, key=lambda o: (o.spec.kind, o.spec.name)):
+        if offer.status is Status.READY:
+            ready.setdefault(offer.spec.kind, []).append(spoken(offer.spec.name))
+    indent = max((len(kind) for kind in ready), default=0) + 2
+    print(_paint("READY", "bold"))
+    for kind, names in ready.items():
+        print(_wrapped(f"{kind:<{indent}}{', '.join(names)}", indent))
+    _print_trouble(registry)
+    disabled = [record.name for record in registry.plugins if record.status is Status.DISABLED]
+    if disabled:
+        print("\n" + _wrapped(f"disabled by the configuration: {', '.join(disabled)}", 2))
+    absent = _absent(registry)
+    if absent:
+        print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
+        print(_wrapped(", ".join(absent), 0))
+        print(_wrapped(f"One of them: {install_command(absent[0])}", 2))
+    print(_paint(f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"))
+
+
+def _absent(registry: Registry) -> list[str]:
+    """The project's own packages that are not installed."""
+    installed = {record.distribution for record in registry.plugins}
+    return sorted({package.partition("[")[0] for package in known_names().values()} - installed)
+
+
+def print_table(registry: Registry) -> None:
+    """Write the table of all offers, and below it each plugin's trouble.
+
+    Drawn here rather than by rich, whose import and rendering take longer than everything else that listing does.
+    """
+    rows = sorted(row for record in registry.plugins for row in _rows(record))
+    widths = [max(len(row[i]) for row in (_HEADING, *rows)) for i in range(4)]
+    indent = sum(widths) + 2 * len(widths)
+    is_narrow = _columns() - indent < _NARROWEST
+    print(_paint(_line(_HEADING[: 4 if is_narrow else 5], widths), "bold"))
+    for row in rows:
+        summary = row[4]
+        if is_narrow:
+            first, rest = "", textwrap.wrap(summary, max(_NARROWEST, _columns() - 4))
+            indent = 4
+        else:
+            first, *rest = textwrap.wrap(summary, _columns() - indent) or [""]
+        status = f"{row[2]:<{widths[2]}}"
+        print(_line((*row[:4], first), widths).replace(status, _paint(status, STYLES[row[2]]), 1))
+        for text in rest:
+            print(" " * indent + text)
+    _print_trouble(registry)
+
+
+def _print_trouble(registry: Registry) -> None:
+    """Each plugin that is not ready, with its reasons, and what it has that is ready all the same."""
+    for record in _troubled(registry):
+        print(f"\n{record.name} is {_paint(record.status, STYLES[record.status])}")
+        reasons = dict.fromkeys(offer.reason for offer in record.offers if offer.reason) or (record.reason,)
+        for reason in reasons:
+            names = [f"{o.spec.kind} {o.spec.name}" for o in record.offers if o.reason == reason]
+            print(_wrapped(f"  {', '.join(names)}: {reason}" if names else f"  {reason}", 2))
+        if record.traceback:
+            print(_paint(f"  traceback: roboneuron plugins show {record.name}", "dim"))
+
+
+def _wrapped(text: str, indent: int) -> str:
+    """The text within the terminal's width; a command in it is not broken within a word."""
+    lead = " " * indent
+    return textwrap.fill(
+        text, max(_NARROWEST, _columns()), subsequent_indent=lead, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _columns() -> int:
+    return shutil.get_terminal_size().columns
+
+
+def _rows(record: PluginRecord) -> Sequence[tuple[str, str, Status, str, str]]:
+    plugin = f"{record.name} {record.version}".strip()
+    if not record.offers:
+        return [("-", "-", record.status, plugin, "")]
+    return [(o.spec.kind, o.spec.name, o.status, plugin, o.spec.summary) for o in record.offers]
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    padded = [f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=False)]
+    return "  ".join([*padded, *cells[len(padded) :]]).rstrip()
+
+
+def _paint(text: str, style: str) -> str:
+    """In colours on a terminal, not with NO_COLOR."""
+    has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+    codes = ";".join(_CODES[word] for word in style.split())
+    return f"\x1b[{codes}m{text}\x1b[0m" if has_colour else text

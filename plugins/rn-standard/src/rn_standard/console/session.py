@@ -1,0 +1,71 @@
+"""An MCP client's calls with typed ends: an answer, or an exception with the server's words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mcp import Client
+from mcp.types import TextContent
+
+from rn_standard.console.status import ServerStatus
+from roboneuron import NotReadyError
+
+_CALL_TIMEOUT_S = 900.0
+"""A model may load for minutes; the server has its own time-outs for everything it starts."""
+
+
+class Session:
+    """Calls tools of one server.
+
+    Args:
+        source: which server this is, in words.
+    """
+
+    def __init__(self, client: Client, source: str) -> None:
+        self._client = client
+        self._source = source
+
+    async def call(
+        self, tool: str, arguments: Mapping[str, Any] | None = None, on_progress: Callable[[str], None] | None = None
+    ) -> dict[str, Any]:
+        """Call a tool.
+
+        Raises:
+            NotReadyError: the tool answered with an error; holds its text.
+        """
+
+        async def progress(progress: float, total: float | None, message: str | None) -> None:
+            if on_progress is not None and message:
+                on_progress(message)
+
+        answer = await self._client.call_tool(
+            tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S, progress_callback=progress
+        )
+        if answer.is_error:
+            raise NotReadyError(" ".join(part.text for part in answer.content if isinstance(part, TextContent)))
+        return dict(answer.structured_content or {})
+
+    async def robots(self, tool: str) -> list[dict[str, str]]:
+        """What a tool has to be given, for each robot: `robot` where the server has several of them.
+
+        Raises:
+            NotReadyError: the server has no such tool.
+        """
+        tools = {found.name: found for found in (await self._client.list_tools()).tools}
+        if tool not in tools:
+            raise NotReadyError(f"The server has no tool {tool}.", hint="Install what brings it where the server runs.")
+        if "robot" not in tools[tool].input_schema.get("required", ()):
+            return [{}]
+        return [{"robot": name} for name in tools[tool].input_schema["properties"]["robot"]["enum"]]
+
+    async def status(self) -> ServerStatus:
+        """The answer of `get_status`."""
+        return ServerStatus.from_answer(await self.call("get_status"), self._source)
+
+    async def statuses(self) -> list[ServerStatus]:
+        """The answers of `get_status`, one for each robot."""
+        return [
+            ServerStatus.from_answer(await self.call("get_status", robot), self._source)
+            for robot in await self.robots("get_status")
+        ]

@@ -1,0 +1,133 @@
+"""What is known of the modules at one moment, from `get_status` or from /diagnostics, as one model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron.feature import FAULTS, Health, Report
+
+
+class ModuleError(BaseModel):
+    """The newest failure of a module that does not work."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    code: str = ""
+    message: str = ""
+    hint: str = ""
+
+
+class ModuleStatus(BaseModel):
+    """One module; the fields are those of `get_status`, None when the source does not say."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    module: str
+    health: str
+    pid: int | None = None
+    uptime_s: float | None = None
+    rate_hz: float | None = None
+    latency_ms: float | None = None
+    latency_p99_ms: float | None = None
+    age_ms: float | None = None
+    published: int = 0
+    dropped: int = 0
+    waiting_for: str = ""
+    instruction: str = ""
+    note: str = ""
+    error: ModuleError | None = None
+    metrics: dict[str, str] = Field(default_factory=dict)
+    detail: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def is_faulty(self) -> bool:
+        """Whether it does not do its work."""
+        return self.health in FAULTS
+
+    @classmethod
+    def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ModuleStatus:
+        """What a module says of itself on /diagnostics."""
+        failure = ModuleError(code=report.error_code, message=report.error, hint=report.error_hint)
+        names = set(cls.model_fields) & {"uptime_s", "rate_hz", "latency_ms", "latency_p99_ms", "age_ms"}
+        return cls(
+            module=module,
+            health=health,
+            pid=pid,
+            **{name: getattr(report, name) for name in sorted(names)},
+            published=report.published,
+            dropped=report.dropped,
+            waiting_for=report.waiting_for,
+            instruction=report.instruction,
+            note=report.note,
+            error=failure if report.error_code else None,
+            metrics=dict(report.metrics),
+            detail=dict(report.detail),
+        )
+
+
+class ServerStatus(BaseModel):
+    """A server and its modules.
+
+    Attributes:
+        source: where this is from, in words.
+        pid: of the server; None when no server is known.
+        emergency_stop: latched.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    source: str = ""
+    namespace: str = ""
+    pid: int | None = None
+    uptime_s: float | None = None
+    emergency_stop: bool = False
+    emergency_stop_cause: str = ""
+    log_directory: str = ""
+    modules: tuple[ModuleStatus, ...] = ()
+
+    def module(self, name: str) -> ModuleStatus | None:
+        """The module of that name that has a process, or None."""
+        return next((m for m in self.modules if m.module == name and m.pid is not None), None)
+
+    @property
+    def running(self) -> tuple[ModuleStatus, ...]:
+        """Modules that run, and those that have ended by themselves."""
+        return tuple(m for m in self.modules if m.health != "stopped")
+
+    @classmethod
+    def from_answer(cls, answer: Mapping[str, Any], source: str) -> ServerStatus:
+        """Read the answer of `get_status`."""
+        return cls.model_validate({**answer, "source": source})
+
+
+class SimulatedObject(BaseModel):
+    """What a simulator says of one object.
+
+    Attributes:
+        lifted_m: height above where it lay.
+        held_s: for how long it has been lifted without a break.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    lifted_m: float
+    held_s: float
+
+
+def simulated_objects(robot: ModuleStatus | None) -> dict[str, SimulatedObject]:
+    """Objects by name, of a robot whose driver reports them; empty for any other.
+
+    A driver reports them as JSON in one of its details: `{"red": {"lifted_m": 0.0, "held_s": 0.0, ...}, ...}`.
+    """
+    found: dict[str, SimulatedObject] = {}
+    for text in robot.detail.values() if robot is not None else ():
+        try:
+            table = json.loads(text) if text.startswith("{") else {}
+            found.update({name: SimulatedObject.model_validate(facts) for name, facts in table.items()})
+        except ValueError:  # a detail about something else
+            continue
+    return found

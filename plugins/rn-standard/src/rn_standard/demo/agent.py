@@ -1,0 +1,86 @@
+"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers tell it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mcp import Client
+from mcp.types import ImageContent, TextContent
+
+from roboneuron import NotReadyError
+
+_CALL_TIMEOUT_S = 180.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SimulatedObject:
+    """What the simulator itself says of one object.
+
+    Attributes:
+        name: for instance "red".
+        lifted_m: height above where it lay.
+        held_s: seconds for which it has been lifted by 10 cm or more without a break.
+    """
+
+    name: str
+    lifted_m: float
+    held_s: float
+
+
+class Agent:
+    """Calls tools and turns MCP errors into exceptions."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    async def tools(self) -> list[str]:
+        """Names of the offered tools."""
+        return [tool.name for tool in (await self._client.list_tools()).tools]
+
+    async def call(self, tool: str, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Call a tool and return its structured answer.
+
+        Raises:
+            NotReadyError: the tool answered with an error; holds its text.
+        """
+        result = await self._client.call_tool(tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S)
+        if result.is_error:
+            texts = [part.text for part in result.content if isinstance(part, TextContent)]
+            raise NotReadyError(f"{tool}: {' '.join(texts)}")
+        return dict(result.structured_content or {})
+
+    async def image(self, camera: str, robot: str | None = None) -> bytes:
+        """The newest image of a camera, encoded; of one of several robots where it is named."""
+        arguments = {"camera": camera} if robot is None else {"camera": camera, "robot": robot}
+        result = await self._client.call_tool("get_camera_image", arguments)
+        for part in result.content:
+            if isinstance(part, ImageContent):
+                return base64.b64decode(part.data)
+        texts = [part.text for part in result.content if isinstance(part, TextContent)]
+        raise NotReadyError(f"get_camera_image: {' '.join(texts) or 'no image in the answer'}")
+
+    async def status(self) -> dict[str, Any]:
+        """The answer of `get_status`."""
+        return await self.call("get_status")
+
+
+def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The part of `get_status` about one module, or an empty dict when it does not run."""
+    for module in status.get("modules", ()):
+        if module.get("module") == name:
+            return dict(module)
+    return {}
+
+
+def simulated_objects(status: Mapping[str, Any]) -> list[SimulatedObject]:
+    """What the simulator says of its objects; empty for a robot that reports none."""
+    detail = module_status(status, "robot").get("detail") or {}
+    objects = json.loads(detail.get("cubes", "{}"))
+    return [
+        SimulatedObject(name=name, lifted_m=float(facts["lifted_m"]), held_s=float(facts["held_s"]))
+        for name, facts in objects.items()
+    ]

@@ -1,0 +1,211 @@
+"""The allow list of direct motion: what the robot's profile and features expose, checked together, in force at once."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import cast
+
+from rn_standard.direct_path.exposed import (
+    Exposed,
+    action_endpoint,
+    check_reserved,
+    check_stop,
+    profile_endpoints,
+    same_for_each_topic,
+)
+from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.limits import check_endpoint
+from rn_standard.direct_path.path_limits import PathLimiter
+from rn_standard.direct_path.request import AllowedEndpoint
+from roboneuron import ConfigurationError, Controller, RobotProfile
+from roboneuron.feature import (
+    Config,
+    Event,
+    LimitsConfig,
+    MotionRules,
+    Registry,
+    build,
+    collision_of,
+    inspector_of,
+    load_profile,
+    motion_rules,
+)
+
+_Key = tuple[str, str]
+
+
+class ArmPaths:
+    """Makes a judge of joint motions per arm when the first one comes; usable from any thread."""
+
+    def __init__(
+        self, config: Config, registry: Callable[[], Registry], limits: Callable[[], LimitsConfig] | None = None
+    ) -> None:
+        """Args:
+        config: of the server; other arms than its own have the limits' defaults and their profile.
+        registry: the plugins that are installed now.
+        limits: those in force for the server's own robot; its `[limits]` without.
+        """
+        self._config = config
+        self._registry = registry
+        self._limits_now = limits or (lambda: config.limits)
+        self._made: dict[_Key, PathLimiter] = {}
+        self._lock = threading.Lock()
+
+    def forget(self) -> None:
+        """Make the judges again: the limits have changed."""
+        with self._lock:
+            self._made.clear()
+
+    def rules(self, robot: str, profile: RobotProfile) -> MotionRules:
+        """The limits of an arm. Raises ConfigurationError as `motion_rules`."""
+        return motion_rules(self._limits(robot), profile)
+
+    def limiter(self, robot: str, profile: RobotProfile) -> PathLimiter:
+        """The judge of an arm; imports the controller's libraries the first time.
+
+        Raises:
+            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it; its joint motions
+                are refused then.
+        """
+        name = self._controller(robot)
+        with self._lock:
+            if (robot, name) not in self._made:
+                controller, limited = self.load(robot, profile)
+                self._made[robot, name] = PathLimiter(self.rules(robot, profile), limited, inspector_of(controller))
+            return self._made[robot, name]
+
+    def load(self, robot: str, profile: RobotProfile) -> tuple[Controller, RobotProfile]:
+        """A controller of an arm for one user, and the profile with the collisions in force. Raises as `limiter`."""
+        limited = replace(profile, collision=collision_of(self._limits(robot), profile))
+        name = self._controller(robot)
+        spec = self._registry().get("controller", name)
+        controller = cast("Controller", build(spec, self._config.options(name), limited))
+        controller.load()
+        return controller, limited
+
+    def _limits(self, robot: str) -> LimitsConfig:
+        return self._limits_now() if robot == self._config.robot.name else LimitsConfig()
+
+    def _controller(self, robot: str) -> str:
+        if self._config.control is not None:
+            return self._config.control.controller
+        names = sorted(self._registry().specs("controller"))
+        if len(names) != 1:
+            raise ConfigurationError(
+                f"Nothing tells where the joints would bring {robot!r}: the configuration names no controller"
+                + (f", installed are {', '.join(names)}." if names else " and none is installed."),
+                hint="Install one (rn-controller-urdf) and name it in [control].",
+            )
+        return names[0]
+
+
+class AllowList:
+    """Endpoints by who exposes them; usable from any thread.
+
+    Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits belong to topics:
+    two features that expose one topic share every limit of both.
+
+    Attributes:
+        exposed: what is in force; the action topic of an arm is among it, hidden.
+        on_change: has a listener called after each change, from the thread that made it.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        config: Callable[[], Config],
+        registry: Callable[[], Registry],
+        limits: Callable[[], LimitsConfig] | None = None,
+    ) -> None:
+        """Args:
+        gate: judges by the list.
+        config: the configuration with the present robot.
+        registry: the plugins that are installed now.
+        limits: see `ArmPaths`.
+        """
+        self._gate = gate
+        self._config = config
+        self._registry = registry
+        self._paths = ArmPaths(config(), registry, limits)
+        self._lock = threading.RLock()
+        self._by_owner: dict[str, tuple[Exposed, ...]] = {}
+        self._instead: frozenset[str] = frozenset()
+        self.exposed: tuple[Exposed, ...] = ()
+        self._changed: Event[[]] = Event()
+        self.on_change = self._changed.listen
+
+    def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
+        """Have these endpoints of an owner and no others of it.
+
+        Args:
+            owner: name of the feature.
+            endpoints: with names and limits.
+            instead_of_profile: the endpoints of the robot's profile are exposed only if they are among these.
+
+        Raises:
+            ConfigurationError: one may not be exposed, or two contradict each other; the old list stays.
+            PluginError, MissingDependencyError: the robot's profile cannot be loaded.
+        """
+        with self._lock:
+            before = self._by_owner, self._instead
+            self._by_owner = {**self._by_owner, owner: tuple(endpoints)}
+            if instead_of_profile:
+                self._instead |= {owner}
+            try:
+                self._apply()
+            except Exception:
+                self._by_owner, self._instead = before
+                raise
+        self._changed.tell()
+
+    def relimit(self) -> None:
+        """Judge by the limits that are in force now. Raises as `expose`; the old ones stay then."""
+        with self._lock:
+            self._apply()
+            self._paths.forget()
+
+    def refresh(self) -> None:
+        """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""
+        with self._lock:
+            if not self._instead:
+                self._apply()
+        self._changed.tell()
+
+    def _apply(self) -> None:
+        listed = [*self._profile(), *(e for endpoints in self._by_owner.values() for e in endpoints)]
+        if len(self._by_owner) > 1 or not self._instead:
+            listed = same_for_each_topic(listed, {})
+        config = self._config()
+        robots = {config.namespace: config.robot.name, **{e.namespace: e.robot for e in listed if not e.hidden}}
+        names: set[tuple[str, str]] = set()
+        for exposed in listed:
+            check_reserved(exposed, robots)
+            check_endpoint(exposed.endpoint)
+            check_stop(exposed)
+            name = exposed.robot, exposed.endpoint.name
+            if name in names:
+                raise ConfigurationError(f"Two endpoints of {exposed.robot!r} are called {exposed.endpoint.name!r}.")
+            names.add(name)
+        arm = next((e for e in listed if e.robot == config.robot.name and e.profile is not None), None)
+        action = action_endpoint(arm) if arm is not None else None
+        made = (*listed, action) if action is not None else tuple(listed)
+        self._gate.replace(map(self._allowed, made))
+        self.exposed = made
+
+    def _profile(self) -> list[Exposed]:
+        config, registry = self._config(), self._registry()
+        name = config.robot.name
+        if self._instead or name not in registry.specs("robot"):
+            return []
+        return profile_endpoints(name, config.namespace, load_profile(registry, name))
+
+    def _allowed(self, exposed: Exposed) -> AllowedEndpoint:
+        """The entry of the gate; joint motions of an arm with a TCP get the limits that actions have."""
+        entry, profile = exposed.allowed(), exposed.profile
+        if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:
+            return entry
+        rules = self._paths.rules(exposed.robot, profile)
+        return replace(entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile))

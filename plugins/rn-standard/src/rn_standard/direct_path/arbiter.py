@@ -1,0 +1,242 @@
+"""Motion that lasts: one owner per robot, ended by the emergency stop, a cancelled call, or a policy that starts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
+from rn_standard.direct_path.exposed import ACTION_LABEL, Exposed
+from rn_standard.direct_path.gate import Gate
+from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.feature import MotionStarts
+
+_FROZEN_S = 2.0
+"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10 ms."""
+POLL_S = 0.01
+"""How often lasting motion looks at the latch; together with one publish it is well within 50 ms."""
+
+
+class Ending(StrEnum):
+    """What brought a motion to its end; the values are words of messages."""
+
+    NONE = "nothing could be sent to end it"
+    STOP_MESSAGE = "the stop message was sent"
+    HOLD = "the joints were told to hold"
+    CONTROL = "control holds the arm"
+    GOAL_ENDED = "the goal was ended"
+    GOAL_UNCONFIRMED = "the goal was asked to end, but did not confirm"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MotionEnd:
+    """How a motion ended.
+
+    Attributes:
+        after_s: how long it lasted.
+        total_s: how long it was to last; None when nobody knows.
+        ending: what ended it.
+        details: more about that, such as where the arm is.
+        cause: why it ended early; None when it came to its end.
+        sent: messages, the one that ended it included.
+    """
+
+    after_s: float
+    total_s: float | None = None
+    ending: Ending = Ending.NONE
+    details: str = ""
+    cause: RoboNeuronError | None = None
+    sent: int = 0
+
+    def check(self) -> None:
+        """Raise an error of the cause's kind that tells how the motion ended, unless it came to its end."""
+        if self.cause is None:
+            return
+        total = "" if self.total_s is None else f" of {self.total_s:.2f}"
+        details = f" ({self.details})" if self.details else ""
+        raise type(self.cause)(
+            f"Ended after {self.after_s:.2f}{total} s, {self.ending}{details}: {self.cause.message}",
+            hint=self.cause.hint,
+        ) from self.cause
+
+
+class Motion:
+    """A motion that is under way; used by the thread that plays it."""
+
+    def __init__(
+        self,
+        gate: Gate,
+        exposed: Exposed,
+        what: str,
+        halt: threading.Event,
+        policy: Callable[[], str],
+        stopped: Callable[[], str] = lambda: "",
+    ) -> None:
+        self._stopped = stopped
+        self._looked_s = time.monotonic()
+        self.exposed = exposed
+        self.what = what
+        self._gate = gate
+        self._halt = halt
+        self._policy = policy
+        self._end_reason = ""
+        self.stop_now: Callable[[], object] = lambda: None
+        """Sends the stop message; set while there is one to send. Whoever presses the emergency stop calls it, whether
+        or not the thread that plays this gets to run, and the thread sends it again when it does."""
+
+    def check(self) -> None:
+        """Raise when it has to end.
+
+        Raises:
+            RefusedError: the emergency stop is latched, or the audit failed.
+            StateError: the call was cancelled, a policy took over, the robot was stopped or has lost a module since
+                this motion began, or this process was frozen: it is not resumed.
+        """
+        self._gate.check_running()
+        frozen_s, self._looked_s = time.monotonic() - self._looked_s, time.monotonic()
+        if frozen_s > _FROZEN_S:
+            raise StateError(f"The server was frozen for {frozen_s:.1f} s; the motion is not resumed.")
+        if self._halt.is_set():
+            self._gate.check_running()  # the stop was pressed since the look above
+            raise StateError(self._end_reason or "The call was cancelled.")
+        if reason := self._stopped() or self._policy():
+            raise StateError(reason)
+
+    def sleep_until(self, end_s: float) -> None:
+        """Wait until this monotonic time [s]; raises as `check`, within `POLL_S` of the cause."""
+        while True:
+            self.check()
+            remaining_s = end_s - time.monotonic()
+            if remaining_s <= 0:
+                return
+            self._halt.wait(min(POLL_S, remaining_s))
+
+    def wake(self) -> None:
+        """Have the thread that plays this look now whether it has to end."""
+        self._halt.set()
+
+    def end(self, reason: str) -> None:
+        """Have it end now; callable from any thread."""
+        self._end_reason = reason
+        self._halt.set()
+
+
+class MotionArbiter:
+    """Knows who moves which robot. Usable from any thread."""
+
+    def __init__(
+        self,
+        gate: Gate,
+        policy: Callable[[Exposed], str],
+        starts: MotionStarts,
+        is_followed: Callable[[Exposed], bool] = lambda exposed: False,
+        hold_s: float = 2.0,
+    ) -> None:
+        """Args:
+        gate: asked whether motion may go on.
+        policy: says, in a sentence, which policy moves the endpoint's robot; empty when none does.
+        starts: knows of stops.
+        is_followed: whether control still follows actions: it will hold, and a hold would end another motion.
+        hold_s: longest wait for that hold.
+        """
+        self._is_followed, self._hold_s = is_followed, hold_s
+        self._gate = gate
+        self._policy = policy
+        self._starts = starts
+        self._lock = threading.Lock()
+        self._moving: dict[str, Motion] = {}
+        self._idle = threading.Condition(self._lock)
+        gate.latch.on_press(self._stop_now)
+        gate.latch.on_pressed(self._wake)
+
+    def _stop_now(self) -> None:
+        """The stop was pressed in this process: send what ends each motion."""
+        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+            motion.stop_now()
+
+    def _wake(self) -> None:
+        """Nobody waits for the next look at the latch."""
+        for motion in list(self._moving.values()):
+            motion.wake()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a call moves a robot now."""
+        return any(motion.exposed.moves for motion in list(self._moving.values()))
+
+    def check_free(self, exposed: Exposed) -> None:
+        """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
+        if not exposed.moves:
+            return
+        policy = self._policy(exposed)
+        if policy:
+            self._gate.latch.check(" Nothing was sent.")  # this reason first: without the policy nothing moved either
+            raise RefusedError(policy, hint="Call stop_inference first.")
+        other = self._moving.get(exposed.robot)
+        if other is not None:
+            raise RefusedError(
+                f"{other.what} moves {exposed.robot!r} now.", hint="Wait for its end, or cancel that call."
+            )
+
+    @contextmanager
+    def claim(self, exposed: Exposed, what: str, halt: threading.Event) -> Iterator[Motion]:
+        """Own the robot's motion for a while.
+
+        Args:
+            exposed: through which endpoint.
+            what: the tool, for messages.
+            halt: set when the call is cancelled.
+
+        Raises:
+            RefusedError: somebody else moves it.
+            NotReadyError: control follows actions, and does not come to its hold.
+            StateError: as `Motion.check`.
+        """
+        if exposed.moves:
+            self._starts.look()  # what stopped the robot before this call is no reason to end it
+        stops = self._starts.arm_stops
+
+        def stopped() -> str:
+            if not exposed.moves or self._starts.arm_stops == stops:
+                return ""
+            return f"It was stopped: {self._starts.reason}. The motion is not resumed."
+
+        policy = partial(self._policy, exposed) if exposed.moves else str
+        motion = Motion(self._gate, exposed, what, halt, policy, stopped)
+        key = exposed.robot if exposed.moves else f"{exposed.robot}/{exposed.topic}"
+        with self._lock:
+            self.check_free(exposed)
+            if key in self._moving:
+                raise RefusedError(f"{self._moving[key].what} uses {exposed.topic} now.", hint="Wait for its end.")
+            self._moving[key] = motion
+        try:
+            if exposed.moves and exposed.label != ACTION_LABEL:
+                self._await_hold(motion)
+            yield motion
+        finally:
+            with self._idle:
+                del self._moving[key]
+                self._idle.notify_all()
+
+    def _await_hold(self, motion: Motion) -> None:
+        """Wait for the hold that follows the last action of a policy or of move_ee."""
+        deadline_s = time.monotonic() + self._hold_s
+        while self._is_followed(motion.exposed):
+            if time.monotonic() > deadline_s:
+                raise NotReadyError(
+                    "Control still follows actions that somebody sends; nothing was sent.",
+                    hint="Call stop_inference, or see get_status.",
+                )
+            motion.sleep_until(time.monotonic() + POLL_S)
+
+    def end_all(self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True) -> bool:
+        """End every motion (through the endpoints that are meant) and wait; False when one did not end in time."""
+        with self._idle:
+            ended = [motion for motion in self._moving.values() if which(motion.exposed)]
+            for motion in ended:
+                motion.end(reason)
+            return self._idle.wait_for(lambda: not any(m in ended for m in self._moving.values()), timeout_s)

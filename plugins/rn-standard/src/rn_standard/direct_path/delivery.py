@@ -1,0 +1,174 @@
+"""Truthful delivery: command by command, when each is due, and brought to an end whatever happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from opentelemetry import trace
+
+from rn_standard.direct_path.arbiter import Ending, Motion, MotionEnd
+from rn_standard.direct_path.exposed import ACTION_LABEL
+from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.request import GateRequest, Verdict
+from roboneuron import JointCommand, JointSample, NotReadyError, RefusedError, RoboNeuronError, RobotProfile, StateError
+
+if TYPE_CHECKING:
+    from rn_standard.direct_path.writer import TopicWriter
+
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+_tracer = trace.get_tracer("roboneuron")
+"""Does nothing, in about a microsecond, unless a feature sets up the SDK."""
+_HOLD_S = 0.1
+"""Time that a trajectory gets to bring the joints to where they were measured."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Command:
+    """What a motion does next.
+
+    Attributes:
+        message: what is sent; None when only time passes. One that is not in the gate's request is judged by the
+            gate before it is sent.
+        due_s: monotonic time of the next command [s].
+        stamped: its header is to carry the time of sending.
+    """
+
+    message: Any
+    due_s: float
+    stamped: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sent:
+    """What was sent, to how many; nothing when `verdict` does not allow it.
+
+    Attributes:
+        verdict: the gate's answer.
+        messages: repetitions and the stop message included.
+        subscribers: how many were matched then.
+        duration_s: how long it took.
+        stopped: a message that stops was sent at the end.
+    """
+
+    verdict: Verdict
+    messages: int = 0
+    subscribers: int = 0
+    duration_s: float = 0.0
+    stopped: bool = False
+
+
+def run(
+    motion: Motion, writer: TopicWriter, gate: Gate, request: GateRequest, commands: Iterable[Command], *,
+    joints: Callable[[], JointSample | None], total_s: float, details: Callable[[], str],
+) -> MotionEnd:  # fmt: skip
+    """Send each command when it is due, and end the motion, whatever happens; see `MotionGate.play`.
+
+    Args:
+        motion: owned by the caller.
+        writer: connected.
+        gate: judges the messages that are not in `request`, which it has allowed.
+        request: holds the messages that are known beforehand.
+        commands: asked for the next one when it is due.
+        joints: the measured joints, for the hold at the end.
+        total_s: how long the motion is to last, for messages.
+        details: more to say of a motion that ended early.
+    """
+    exposed = motion.exposed
+    judged = {id(message) for message in request.messages}
+    began_s = time.monotonic()
+    last: Any = None
+    sent, failed, ending = 0, True, Ending.NONE
+    cause: RoboNeuronError | None = None
+    if exposed.endpoint.stop_message:
+        motion.stop_now = lambda: writer.publish_if_possible(exposed.stop_message(time.time_ns()))
+    try:
+        for command in commands:
+            motion.check()
+            if command.message is not None:
+                if sent and exposed.require_subscriber and not writer.matched():
+                    raise NotReadyError(f"The subscriber of {exposed.topic} is gone.", hint="Look at get_status.")
+                if id(command.message) not in judged:
+                    gate.check_next(replace(request, messages=(command.message,)))
+                send(writer, command.message, command.stamped)
+                last, sent = command.message, sent + 1
+            motion.sleep_until(command.due_s)
+        failed = False
+    except (RefusedError, StateError, NotReadyError) as error:
+        cause = error
+    finally:
+        after_s = time.monotonic() - began_s
+        if last is not None:
+            ending = _end(motion, writer, last, joints, failed)
+    if cause is not None and not sent:
+        raise cause
+    return MotionEnd(
+        after_s=after_s,
+        total_s=total_s,
+        ending=ending,
+        details=details() if cause is not None else "",
+        cause=cause,
+        sent=sent + int(ending in (Ending.STOP_MESSAGE, Ending.HOLD)),
+    )
+
+
+def send(writer: TopicWriter, message: Any, stamped: bool) -> None:
+    """Publish, with the time of now in the header if it is to be `stamped`."""
+    if stamped:
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+    with _tracer.start_as_current_span(f"publish {writer.topic}", kind=trace.SpanKind.PRODUCER):
+        writer.publish(message)
+
+
+def _end(
+    motion: Motion, writer: TopicWriter, last: Any, joints: Callable[[], JointSample | None], moving: bool
+) -> Ending:
+    """Send what ends the motion, where something has to be and can be sent.
+
+    The stop message was checked when the endpoint was exposed; no gate holds it or a hold back. Joints that have come
+    to the end of their command need none, unless it was one of velocities. Control holds the arm once actions stop.
+    """
+    exposed = motion.exposed
+    message = exposed.stop_message(time.time_ns())
+    if message is not None:
+        writer.publish(message)
+        return Ending.STOP_MESSAGE
+    if exposed.hidden and exposed.label == ACTION_LABEL:
+        return Ending.CONTROL
+    if not exposed.endpoint.joint_limited or not (moving or _is_velocity(last)):
+        return Ending.NONE
+    message = _hold(last, joints(), exposed.profile)
+    if message is None:
+        return Ending.NONE
+    writer.publish(message)
+    return Ending.HOLD
+
+
+def _is_velocity(message: Any) -> bool:
+    """Whether a joint command is a JointState of velocities only, which a robot follows until it gets another one."""
+    return hasattr(message, "velocity") and bool(len(message.velocity)) and not len(message.position)
+
+
+def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None) -> Any:
+    """What keeps the joints of a command where they were measured; None when one of them was not.
+
+    The gripper is left to its last command: fingers that are told to be where an object blocks them lose their force.
+    """
+    if _is_velocity(message):
+        return type(message)(name=list(message.name), velocity=[0.0] * len(message.name))
+    gripper = profile.gripper.joint if profile is not None and profile.gripper is not None else None
+    named = message.joint_names if hasattr(message, "points") else message.name
+    names = [name for name in named if name != gripper]
+    if joints is None or not names or any(name not in joints.names for name in names):
+        return None
+    position = [float(joints.position[joints.names.index(name)]) for name in names]
+    if not hasattr(message, "points"):
+        return type(message)(name=names, position=position)
+    from roboneuron.feature import to_joint_trajectory  # heavy
+
+    command = JointCommand(names=tuple(names), position=np.array(position), duration_s=_HOLD_S)
+    return to_joint_trajectory(command)

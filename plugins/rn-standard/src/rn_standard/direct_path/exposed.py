@@ -1,0 +1,279 @@
+"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics are never exposed."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rn_standard.direct_path.fields import filled, load_type
+from rn_standard.direct_path.request import AllowedEndpoint, GateRequest
+from roboneuron import CallContext, ConfigurationError, Endpoint, InvalidInputError, JointSample, RobotProfile
+from roboneuron.feature import (
+    ACTION,
+    DIAGNOSTICS,
+    EE_POSE,
+    EMERGENCY_STOP_TOPIC,
+    JOINT_STATES,
+    MODULE_KINDS,
+    PREDICTIONS,
+    camera_image,
+    camera_info,
+)
+
+_ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
+Use = tuple[str, str]
+"""Topic and kind."""
+SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
+_SERVICE_OF_A_NODE = re.compile(
+    r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$"
+    r"|/(change_state|get_state|get_available_states|get_available_transitions|get_transition_graph)$"
+)
+"""Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
+_OWN_TOPICS = re.compile(
+    rf"{ACTION}|{JOINT_STATES}|{EE_POSE}|{PREDICTIONS}|{camera_image('[^/]+')}|{camera_info('[^/]+')}"
+    rf"|({'|'.join(MODULE_KINDS)})(_b)?/transition_event"
+)
+"""Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for them."""
+_SYSTEM_TOPICS = frozenset({DIAGNOSTICS, "/rosout", "/parameter_events"})
+"""Health of the modules, and what ROS itself tells."""
+ACTION_LABEL = "ee_delta"
+"""Label of the hidden endpoint that is the action topic of an arm."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Exposed:
+    """An endpoint of one robot that agents may use.
+
+    Attributes:
+        robot: its name.
+        namespace: its ROS namespace, without a leading slash.
+        label: noun in the names of its tools.
+        endpoint: the gate's entry; its name is unique among the robot's.
+        profile: the robot's facts, None for a robot that no plugin knows.
+        clamp, nonfinite: see `AllowedEndpoint`.
+        require_subscriber: a message that nobody receives is an error.
+        moves: it moves the robot, so that it is refused while a policy does.
+        hidden: no tools of its own; another tool uses it.
+    """
+
+    robot: str
+    namespace: str
+    label: str
+    endpoint: Endpoint
+    profile: RobotProfile | None = None
+    clamp: frozenset[str] = frozenset()
+    nonfinite: frozenset[str] = frozenset()
+    require_subscriber: bool = True
+    moves: bool = True
+    hidden: bool = False
+
+    @property
+    def topic(self) -> str:
+        """Absolute name of the topic, service or action."""
+        name = self.endpoint.topic
+        return name if name.startswith("/") else f"/{self.namespace}/{name}"
+
+    @property
+    def ros_type(self) -> Any:
+        """The rosidl class of its type. Raises ConfigurationError."""
+        return load_type(self.endpoint.type)
+
+    def allowed(self) -> AllowedEndpoint:
+        """The entry of the gate's allow list."""
+        return AllowedEndpoint(
+            robot=self.robot,
+            endpoint=self.endpoint,
+            profile=self.profile,
+            clamp=self.clamp,
+            nonfinite=self.nonfinite,
+            topic=self.topic,
+        )
+
+    def stop_message(self, now_ns: int) -> Any:
+        """The message that ends a motion, or None."""
+        text = self.endpoint.stop_message
+        if not text:
+            return None
+        message = filled(self.ros_type, {} if text == "zero" else json.loads(text))
+        header = getattr(message, "header", None)
+        if header is not None and hasattr(header, "stamp"):
+            header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+        return message
+
+
+def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) -> list[Exposed]:
+    """The endpoints that a robot's profile offers; none without a profile."""
+    return [
+        Exposed(robot=robot, namespace=namespace, label=endpoint.name, endpoint=endpoint, profile=profile)
+        for endpoint in (profile.endpoints if profile is not None else ())
+    ]
+
+
+def action_endpoint(exposed: Exposed) -> Exposed | None:
+    """The action topic of the robot of `exposed`, when that is an arm with a TCP: what control follows."""
+    profile = exposed.profile
+    if profile is None or not (profile.arm_joints and profile.tcp_link):
+        return None
+    endpoint = Endpoint(
+        name=ACTION_LABEL, kind="publish", topic=ACTION, type=_ACTION_TYPE, summary="TCP deltas for control.",
+        bounds={"data": (-1.0, 1.0)}, rate_hz=20.0,
+    )  # fmt: skip
+    return Exposed(
+        robot=exposed.robot, namespace=exposed.namespace, label=ACTION_LABEL, endpoint=endpoint,
+        profile=profile, hidden=True,
+    )  # fmt: skip
+
+
+def check_stop(exposed: Exposed) -> None:
+    """Raise ConfigurationError unless the stop message is one that the endpoint takes."""
+    if not exposed.endpoint.stop_message:
+        return
+    where = f"The stop message of {exposed.endpoint.name!r}"
+    if exposed.endpoint.kind != "publish":
+        raise ConfigurationError(f"{where} makes no sense: it is a {exposed.endpoint.kind}.")
+    try:
+        exposed.stop_message(0)
+    except InvalidInputError as error:
+        raise ConfigurationError(f"{where}: {error}") from error
+    outside = [path for path, (low, high) in exposed.endpoint.bounds.items() if not low <= 0.0 <= high]
+    if exposed.endpoint.stop_message == "zero" and outside:
+        raise ConfigurationError(f"{where} is zero, which the bounds of {outside[0]} do not allow.")
+
+
+def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
+    """Return the namespace that a topic or node lies in, of those that are known; empty for none.
+
+    Args:
+        topic: absolute name.
+        robot: the robot it is to be exposed for.
+        namespaces: robot by ROS namespace (without slashes at the ends).
+
+    Raises:
+        ConfigurationError: it is another robot's, whose limits and whose policy would not count.
+    """
+    owner = max((space for space in namespaces if topic.startswith(f"/{space}/")), key=len, default="")
+    if owner and namespaces[owner] != robot:
+        raise ConfigurationError(
+            f"{topic} is of the robot {namespaces[owner]!r}, so it can only be exposed for that robot.",
+            hint=f"Set robot = {namespaces[owner]!r}.",
+        )
+    return owner
+
+
+def is_module(node: str, owner: str) -> bool:
+    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the supervisor alone sets."""
+    return node.removeprefix(f"/{owner}/") in {f"{kind}{end}" for kind in MODULE_KINDS for end in ("", "_b")}
+
+
+def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
+    """Raise ConfigurationError unless agents may be given this topic, and through this robot."""
+    topic, kind = exposed.topic, exposed.endpoint.kind
+    owner = check_owner(topic, exposed.robot, namespaces)
+    if kind == "read":
+        return
+    where = f"Endpoint {exposed.label!r}: {topic}"
+    own = topic in _SYSTEM_TOPICS or (bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile))
+    if topic.rpartition("/")[2] == EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
+        raise ConfigurationError(
+            f"{where} is written by RoboNeuron alone and cannot be exposed for kind = {kind!r}.",
+            hint="Agents stop the robot with emergency_stop and move an arm with move_ee.",
+        )
+    is_setting = exposed.hidden and exposed.endpoint.type == SET_PARAMETERS  # a tool that names the parameters
+    if is_setting and owner and is_module(topic.rpartition("/")[0], owner):
+        raise ConfigurationError(f"{where} is of a module of RoboNeuron, which the supervisor alone sets.")
+    if kind == "service" and not is_setting and _SERVICE_OF_A_NODE.search(topic):
+        raise ConfigurationError(
+            f"{where} is a parameter or lifecycle service and cannot be exposed as such.",
+            hint="Use kind = 'parameters', which names the parameters.",
+        )
+
+
+def _is_own(topic: str, profile: RobotProfile | None) -> bool:
+    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of RoboNeuron."""
+    if _OWN_TOPICS.fullmatch(topic):
+        return True
+    if profile is None:
+        return False
+    return topic in profile.own_topics or any(e.topic == topic for e in profile.endpoints if e.kind == "read")
+
+
+def by_topic(endpoints: Iterable[Exposed]) -> dict[Use, list[Exposed]]:
+    """Endpoints by topic and kind."""
+    found: dict[Use, list[Exposed]] = {}
+    for exposed in endpoints:
+        found.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
+    return found
+
+
+def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
+    """The endpoint with the limits of another name of the same topic as well.
+
+    Raises:
+        ConfigurationError: together they allow nothing, or the types differ.
+    """
+    if other is endpoint:
+        return endpoint
+    where = f"Endpoints {other.name!r} and {endpoint.name!r} are both {endpoint.topic!r}"
+    if endpoint.type != other.type:
+        raise ConfigurationError(f"{where}, but of {other.type} and {endpoint.type}.")
+    bounds = dict(endpoint.bounds)
+    for path, (low, high) in other.bounds.items():
+        lowest, highest = bounds.get(path, (-math.inf, math.inf))
+        bounds[path] = (max(low, lowest), min(high, highest))
+        if bounds[path][0] > bounds[path][1]:
+            raise ConfigurationError(f"{where}; no value of {path} is within the bounds of both.")
+    rates = [rate for rate in (endpoint.rate_hz, other.rate_hz) if rate]
+    return replace(
+        endpoint,
+        bounds=bounds,
+        rate_hz=min(rates, default=0.0),
+        joint_limited=endpoint.joint_limited or other.joint_limited,
+        min_turning_radius_m=max(endpoint.min_turning_radius_m, other.min_turning_radius_m),
+        stop_message=endpoint.stop_message or other.stop_message,
+    )
+
+
+def same_for_each_topic(drafts: Iterable[Exposed], sources: Mapping[Use, Iterable[Exposed]]) -> list[Exposed]:
+    """Every name of a topic with the limits of all of them.
+
+    Args:
+        drafts: what is exposed; it moves the robot if one of its names does, and takes only what all may hold.
+        sources: more that limits topics, exposed or not.
+    """
+    listed = list(drafts)
+    names = by_topic(listed)
+    made = []
+    for draft in listed:
+        use = draft.topic, draft.endpoint.kind
+        endpoint = draft.endpoint
+        for source in (*names[use], *sources.get(use, ())):
+            endpoint = tightened_by(endpoint, source.endpoint)
+        nonfinite = frozenset.intersection(*(e.nonfinite for e in names[use]))
+        moves = any(e.moves for e in names[use])
+        made.append(replace(draft, endpoint=endpoint, moves=moves, nonfinite=nonfinite))
+    return made
+
+
+def gate_request(
+    context: CallContext, tool: str, exposed: Exposed, messages: Sequence[Any], arguments: Mapping[str, Any], *,
+    joints: JointSample | None = None, durations_s: Sequence[float] = (),
+    send_at_s: Sequence[float] = (), dry_run: bool = False,
+) -> GateRequest:  # fmt: skip
+    """What the gate is asked for this call."""
+    return GateRequest(
+        who=context.who,
+        role=context.role,
+        tool=tool,
+        robot=exposed.robot,
+        endpoint=exposed.endpoint.name,
+        messages=tuple(messages),
+        arguments=arguments,
+        joints=joints,
+        durations_s=tuple(durations_s),
+        send_at_s=tuple(send_at_s),
+        dry_run=dry_run,
+    )

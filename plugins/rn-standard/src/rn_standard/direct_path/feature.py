@@ -1,0 +1,130 @@
+"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion that passed it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rn_standard.direct_path.allow_list import AllowList
+from rn_standard.direct_path.arbiter import MotionArbiter
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.plugin import FEATURE
+from rn_standard.direct_path.traffic import Traffic
+from roboneuron import Feature, Host, RoboNeuronError, StateError, Tool
+from roboneuron.feature import FOLLOWING_NOTE, assess
+
+log = logging.getLogger(__name__)
+_CLOSE_S = 2.0
+_REPORTED_S = 1.5
+"""Longest from a hold of control until it is known here, on a busy machine."""
+
+
+class DirectPath(Feature[None]):
+    """The gate of the direct path. It adds no tool: features that do hand what is to be sent to `host.gate`.
+
+    Attributes:
+        judge: decides on every request.
+        arbiter: who moves which robot.
+        allow_list: what agents may use.
+    """
+
+    judge: Gate
+    arbiter: MotionArbiter
+    allow_list: AllowList
+    _gate: MotionGate | None = None
+
+    @property
+    def gate(self) -> MotionGate | None:
+        """The gate, from the time on when tools are asked for."""
+        return self._gate
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a call moves a robot now."""
+        return self._gate is not None and self.arbiter.is_moving
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """None; builds the gate, which allows nothing until something is exposed."""
+        self._host = host
+        stop, server = host.loop.emergency_stop, host.config.server
+        self.judge = Gate((), latch=stop.file, audit=host.audit, clock=time.monotonic, dry_run=server.dry_run)
+        control = host.config.control
+        self.arbiter = MotionArbiter(
+            self.judge, self._policy, host.loop.starts,
+            self._is_followed, _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
+        )  # fmt: skip
+        self.allow_list = AllowList(self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits)
+        traffic = Traffic(lambda: host.supervisor.link)
+        self._gate = MotionGate(
+            self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s,
+            self._permit, lambda: host.loop.starts.are_needed,
+        )  # fmt: skip
+        host.events.change.listen(self._on_module)
+        host.events.health.listen(HealthDiagnostics(host.supervisor).publish)
+        return ()
+
+    def complete(self, host: Host) -> None:
+        """Expose the robot's profile, unless a feature has exposed others instead. Raises as `AllowList.expose`."""
+        self.allow_list.refresh()
+
+    def end_motion(self, reason: str, timeout_s: float) -> bool:
+        """End every motion that passed the gate with its stop message; False when one did not end in time."""
+        return self._gate is None or self.arbiter.end_all(reason, timeout_s)
+
+    def close(self) -> None:
+        """End every motion; nothing passes the gate any more. Idempotent."""
+        if self._gate is not None:
+            self.judge.replace(())
+            self.end_motion("The direct path is closed.", _CLOSE_S)
+
+    def _permit(self, exposed: Exposed) -> None:
+        """Somebody asks for motion: robot and control obey again after a stop. Raises as `MotionStarts.permit`."""
+        if exposed.moves and exposed.namespace == self._host.config.namespace:
+            self._host.loop.starts.permit()
+
+    def _policy(self, exposed: Exposed) -> str:
+        """Which policy moves the robot now, as a sentence; empty when none does."""
+        view = self._host.supervisor.view("inference")
+        if view.phase not in ("starting", "running") or view.choice is None:
+            return ""
+        if view.choice.settings.config.namespace != exposed.namespace:
+            return ""
+        return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
+
+    def _is_followed(self, exposed: Exposed) -> bool:
+        """Whether control has acted since it held last; one that is frozen tells nothing, and comes to no hold."""
+        view = self._host.supervisor.view("control")
+        if view.choice is None or view.choice.settings.config.namespace != exposed.namespace or view.report is None:
+            return False
+        is_turning = view.phase == "running" and assess(view, time.monotonic()) not in ("silent", "stuck")
+        return is_turning and view.report.note == FOLLOWING_NOTE
+
+    def _on_module(self, kind: str) -> None:
+        """Another robot has other interfaces."""
+        if kind == "robot":
+            try:
+                self.allow_list.refresh()
+            except RoboNeuronError as error:
+                log.error("What the robot offers cannot be exposed: %s", error)
+
+
+def direct_path(host: Host) -> DirectPath:
+    """The direct path of a server. Raises StateError as `Host.feature`."""
+    return host.feature(FEATURE.name, DirectPath)
+
+
+def gate_of(host: Host) -> MotionGate:
+    """`host.gate` with its type, for features that need `direct-path`.
+
+    Raises:
+        StateError: there is none, or it is not of this package.
+    """
+    gate = host.gate
+    if not isinstance(gate, MotionGate):
+        raise StateError(f"The gate of this server is a {type(gate).__name__}, not that of {FEATURE.name!r}.")
+    return gate

@@ -1,0 +1,245 @@
+"""Fields of rosidl messages: by dotted path through arrays, read, changed and filled without knowing the type."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+import re
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboneuron import ConfigurationError, InvalidInputError
+
+FLOATS = frozenset({"float", "double"})
+INTEGERS = frozenset(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+"""Numbers as rosidl writes their types; `octet` and `boolean` are none."""
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9]*)")
+_ELEMENT = re.compile(r"(?:sequence<)?([\w/]+)")
+_STEP = re.compile(r"(\w+)((?:\[\d{1,9}\])?)")
+"""One step of a path that reads: a field, or one element of it."""
+_FEW = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A number in a message: its path with indices, its value, and how to change it."""
+
+    path: str
+    value: float
+    write: Callable[[float], None]
+
+
+def type_name_of(message: Any) -> str:
+    """ "geometry_msgs/msg/Twist" for a Twist; parts of services and actions keep their suffix."""
+    return _name_of_class(type(message))
+
+
+def is_message(value: Any) -> bool:
+    """Whether this is a rosidl message."""
+    return hasattr(type(value), "get_fields_and_field_types")
+
+
+@functools.cache
+def load_type(name: str) -> Any:
+    """The rosidl class called "package/msg/Name", "package/srv/Name" or "package/action/Name".
+
+    Raises:
+        ConfigurationError: the name is written in another way, or nothing installed has it.
+    """
+    parts = _TYPE_NAME.fullmatch(name)
+    if parts is None:
+        raise ConfigurationError(f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action.")
+    package, kind, word = parts.groups()
+    spec = find_spec(package)  # nothing but packages of interfaces is imported
+    folders = (spec.submodule_search_locations if spec is not None else None) or ()
+    found = None
+    if any((Path(folder) / kind / "__init__.py").is_file() for folder in folders):
+        found = getattr(importlib.import_module(f"{package}.{kind}"), word, None)
+    if found is None:
+        raise ConfigurationError(f"No installed interface is called {name!r}.", hint=f"Install the package {package}.")
+    return found
+
+
+def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield each field of a message class at every depth: dotted path without indices, type of it or its elements."""
+    for name, text in ros_type.get_fields_and_field_types().items():
+        here = f"{path}.{name}" if path else name
+        element = _element_of(text)
+        yield here, element
+        if "/" in element:
+            yield from walk_fields(_nested(element), here)
+
+
+def check_path(ros_type: Any, path: str) -> None:
+    """Check a path that reads one value, such as "pose.position.z" or "effort[7]", by the fields of a message class.
+
+    Raises:
+        InvalidInputError: it names what is no field of the interface, or it leads to no single value.
+    """
+    name, here = _name_of_class(ros_type), ros_type
+    steps = path.split(".")
+    for number, step in enumerate(steps):
+        parts = _STEP.fullmatch(step)
+        types = here.get_fields_and_field_types()
+        if parts is None or parts[1] not in types:
+            raise InvalidInputError(
+                f"{name} has no field {path[:80]!r}.",
+                hint=f"{_name_of_class(here)} has: {', '.join(types) or 'no fields'}.",
+            )
+        text = types[parts[1]]
+        element = _element_of(text)
+        is_array = text != element and not text.startswith(("string<", "wstring<"))
+        if is_array is not bool(parts[2]):
+            what = "an array: name one element, such as [0]" if is_array else "no array"
+            raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
+        is_last = number == len(steps) - 1
+        if is_last is ("/" in element):
+            what = f"a message of {element}: name one of its fields" if is_last else f"a {element}: it has no fields"
+            raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
+        here = _nested(element) if "/" in element else None
+
+
+def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
+    """The value at a path that `check_path` has passed for the message's class; nothing but fields is read.
+
+    Raises:
+        LookupError: there is no such field, or an array is shorter.
+    """
+    value = message
+    for step in path.split("."):
+        parts = _STEP.fullmatch(step)
+        if parts is None or not is_message(value) or parts[1] not in value.get_fields_and_field_types():
+            raise LookupError(f"{type(message).__name__} has no field {path[:80]!r}")
+        value = getattr(value, parts[1])
+        if parts[2]:
+            index = int(parts[2][1:-1])
+            if not isinstance(value, list | tuple | array | np.ndarray) or index >= len(value):
+                raise LookupError(f"{type(message).__name__} has no {path[:80]!r} now")
+            value = value[index]
+    found = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(found, bool | int | float | str | bytes):
+        raise LookupError(f"{path[:80]!r} of {type(message).__name__} is no single value")
+    return found
+
+
+def _name_of_class(ros_type: Any) -> str:
+    package, kind = ros_type.__module__.split(".")[:2]
+    return f"{package}/{kind}/{ros_type.__name__}"
+
+
+def _element_of(text: str) -> str:
+    """ "double" of "double", "sequence<double, 3>" and "double[9]"."""
+    found = _ELEMENT.match(text)
+    assert found is not None
+    return found[1]
+
+
+def _nested(element: str) -> Any:
+    return load_type(element.replace("/", "/msg/"))
+
+
+def filled(ros_type: Any, values: Any) -> Any:
+    """A message that holds the values of a JSON object; fields that it does not name are zero.
+
+    Raises:
+        InvalidInputError: there is no such field, or it cannot hold the value.
+    """
+    message = ros_type(check_fields=True)
+    types = message.get_fields_and_field_types()
+    if not isinstance(values, Mapping) or not values.keys() <= types.keys():
+        raise InvalidInputError(f"{type_name_of(message)} takes an object with fields out of: {', '.join(types)}.")
+    for name, value in values.items():
+        element = _element_of(types[name])
+        try:
+            is_array = types[name] != element and not types[name].startswith(("string<", "wstring<"))
+            made = [_converted(element, item) for item in value] if is_array else _converted(element, value)
+            setattr(message, name, made)
+        except (AssertionError, TypeError, ValueError, OverflowError) as error:
+            raise InvalidInputError(f"{name} of {type_name_of(message)} cannot be {str(value)[:60]}.") from error
+    return message
+
+
+def _converted(element: str, value: Any) -> Any:
+    if "/" in element:
+        return filled(_nested(element), value)
+    if element in FLOATS and not isinstance(value, bool):
+        return float(value)
+    return bytes([value]) if element == "octet" else value
+
+
+def read_number(message: Any, path: str) -> float:
+    """The number at a dotted path without arrays on the way."""
+    return float(functools.reduce(getattr, path.split("."), message))
+
+
+def find_outside(message: Any, path: str, low: float, high: float, prefix: str = "") -> Iterator[Place]:
+    """Yield every number outside of low .. high (NaN included) that `path`, written without indices, leads to.
+
+    `prefix` is the path of `message` itself.
+
+    Raises:
+        AttributeError: there is no such field; `check_endpoint` finds that when the configuration is read.
+    """
+    head, _, rest = path.partition(".")
+    value = getattr(message, head)
+    here = f"{prefix}.{head}" if prefix else head
+    if rest and is_message(value):
+        yield from find_outside(value, rest, low, high, here)
+    elif rest:
+        for index, item in enumerate(value):
+            yield from find_outside(item, rest, low, high, f"{here}[{index}]")
+    elif isinstance(value, list | tuple | array | np.ndarray):
+        numbers = np.asarray(value)
+        for index in np.flatnonzero(~((numbers >= low) & (numbers <= high))).tolist():
+            yield Place(f"{here}[{index}]", float(numbers[index]), _item_writer(value, index))
+    elif not low <= value <= high:
+        yield Place(here, float(value), lambda number: setattr(message, head, type(value)(number)))
+
+
+def _item_writer(values: Any, index: int) -> Callable[[float], None]:
+    def write(number: float) -> None:
+        values[index] = type(values[index])(number)
+
+    return write
+
+
+def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path: str = "") -> str:
+    """Return the path of the first NaN or infinity that is not allowed there; empty when there is none."""
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        bare = f"{plain}.{name}" if plain else name
+        here = f"{path}.{name}" if path else name
+        if is_message(value):
+            found = find_nonfinite(value, allowed, bare, here)
+        elif isinstance(value, float):
+            found = "" if math.isfinite(value) or bare in allowed else here
+        elif isinstance(value, array | np.ndarray):
+            found = "" if bare in allowed else _first_nonfinite(value, here)
+        elif isinstance(value, list) and value and is_message(value[0]):
+            inner = (find_nonfinite(v, allowed, bare, f"{here}[{i}]") for i, v in enumerate(value))
+            found = next((f for f in inner if f), "")
+        else:
+            found = ""
+        if found:
+            return found
+    return ""
+
+
+def _first_nonfinite(values: Any, path: str) -> str:
+    if isinstance(values, array):
+        if values.typecode not in "fd":
+            return ""
+        if len(values) <= _FEW:  # numpy costs more than it saves here
+            return next((f"{path}[{i}]" for i, value in enumerate(values) if not math.isfinite(value)), "")
+    numbers = np.asarray(values)
+    if numbers.dtype.kind != "f":
+        return ""
+    finite = np.isfinite(numbers)
+    return "" if finite.all() else f"{path}[{int(np.argmin(finite))}]"

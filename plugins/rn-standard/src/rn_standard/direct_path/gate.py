@@ -1,0 +1,249 @@
+"""The one gate: everything an agent sends passes it, and every decision is written down.
+
+Order: allow list, role, type, finiteness, bounds, steering, joint limits, path, emergency stop, rate, audit. The first
+rule that does not hold refuses and does not count against the rate. Refuse by default, clamp only where configured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from rn_standard.direct_path.joints import check_joints, joint_commands
+from rn_standard.direct_path.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
+from rn_standard.direct_path.path_limits import Leg, LimitError
+from rn_standard.direct_path.rate import RateLimit
+from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp, GateRequest, Verdict
+from roboneuron import RefusedError, RoboNeuronError
+from roboneuron.feature import AuditLog, AuditRecord, EmergencyStopLatch, has_role, joint_limits
+
+_Key = tuple[str, str]
+
+
+class Gate:
+    """Decides on requests; safe from any thread.
+
+    Attributes:
+        latch: the emergency stop.
+        audit: where decisions are written.
+    """
+
+    def __init__(
+        self,
+        allowed: Iterable[AllowedEndpoint],
+        *,
+        latch: EmergencyStopLatch,
+        audit: AuditLog,
+        clock: Callable[[], float],
+        dry_run: bool = False,
+    ) -> None:
+        """Args:
+        allowed: the allow list; nothing else is reachable.
+        latch: the emergency stop, shared with every process.
+        audit: where decisions are written.
+        clock: monotonic time [s], for rates.
+        dry_run: answer every request, allow none to be sent.
+
+        Raises:
+            ConfigurationError: an endpoint cannot be exposed.
+        """
+        self.latch = latch
+        self.audit = audit
+        self._clock = clock
+        self._dry_run = dry_run
+        self._entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        self._rates: dict[tuple[str, ...], RateLimit] = {}
+        self.replace(allowed)
+
+    def replace(self, allowed: Iterable[AllowedEndpoint]) -> None:
+        """Change the allow list; rates of endpoints that stay the same go on counting.
+
+        Raises:
+            ConfigurationError: an endpoint cannot be exposed; the old list stays.
+        """
+        entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        rates: dict[tuple[str, ...], RateLimit] = {}
+        for entry in allowed:
+            endpoint = entry.endpoint
+            check_endpoint(endpoint)
+            # Two names of one topic are one stream of messages, whose rate the robot has to take.
+            place = (endpoint.kind, entry.topic) if entry.topic else (endpoint.kind, entry.robot, endpoint.name)
+            use = (*place, str(endpoint.rate_hz))
+            if use not in rates:
+                rates[use] = self._rates.get(use) or RateLimit(endpoint.rate_hz, self._clock)
+            entries[entry.robot, endpoint.name] = (entry, rates[use])
+        self._entries, self._rates = entries, rates
+
+    def allowed(self) -> tuple[AllowedEndpoint, ...]:
+        """The allow list."""
+        return tuple(entry for entry, _ in self._entries.values())
+
+    def check(self, request: GateRequest) -> Verdict:
+        """Decide, write the decision down, and return it; send only when `Verdict.may_send`.
+
+        The messages of an allowed request may have been clamped; the verdict says so.
+
+        Raises:
+            RefusedError: refused. A dry run is answered instead, with `allowed` false and the reason.
+        """
+        dry_run = request.dry_run or self._dry_run
+        verdict, cause = self._judge(request, dry_run)
+        self._write(request, verdict)
+        if cause is not None and not dry_run:
+            raise cause
+        return verdict
+
+    def check_next(self, request: GateRequest) -> None:
+        """Judge one more message of a motion that was allowed; only a refusal is written down.
+
+        Raises:
+            RefusedError: refused; the motion has to end.
+        """
+        verdict, cause = self._judge(replace(request, repeated=True), self._dry_run)
+        if cause is not None:
+            self._write(request, replace(verdict, dry_run=False))
+            raise cause
+
+    def check_running(self) -> None:
+        """Raise RefusedError when motion that is under way has to end: latched, or the audit failed.
+
+        Called before every step of a sequence and every repetition; about a microsecond.
+        """
+        self.latch.check()
+        if self.audit.failed:
+            raise RefusedError("The audit cannot be written; motion ends.", hint="Mend the state directory.")
+
+    def slowdown(self, request: GateRequest) -> float:
+        """How many times the request's time the TCP needs to keep to its speeds, at least 1.
+
+        Raises:
+            RefusedError: the path cannot be judged.
+        """
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is None or found[0].path is None or request.joints is None:
+            return 1.0
+        with _judging():
+            return found[0].path().slowdown(_legs(found[0], request), request.joints)
+
+    def release(self, request: GateRequest) -> None:
+        """Messages of the request that were to be sent later will not be; they no longer count against the rate."""
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is not None:
+            found[1].release(request)
+
+    def _judge(self, request: GateRequest, dry_run: bool) -> tuple[Verdict, RefusedError | None]:
+        rule, clamped = "", list[Clamp]()
+        try:
+            for name in self._rules(request, dry_run, clamped):
+                rule = name  # the last one named is the one that raises
+        except RefusedError as error:
+            rule = error.limit if isinstance(error, LimitError) else rule
+            return Verdict(allowed=False, dry_run=dry_run, reason=str(error), rule=rule), error
+        return Verdict(allowed=True, dry_run=dry_run, clamped=tuple(clamped)), None
+
+    def _rules(self, request: GateRequest, dry_run: bool, clamped: list[Clamp]) -> Iterator[str]:
+        """Apply one rule after the other: each is named before it is applied, and raises RefusedError."""
+        yield "allow_list"
+        if (request.robot, request.endpoint) not in self._entries:
+            raise _not_allowed(request, self._entries)
+        entry, rate = self._entries[request.robot, request.endpoint]
+        endpoint = entry.endpoint
+        yield "role"
+        least = ROLE_BY_KIND[endpoint.kind]
+        if not has_role(request.role, least):
+            text = f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has {request.role[:20]!r}."
+            raise RefusedError(text)
+        yield "type"
+        if endpoint.kind != "read" and not request.messages:
+            raise RefusedError(f"No message came for endpoint {endpoint.name!r}.")
+        for message in request.messages:
+            check_type(endpoint, message)
+        yield "finite"
+        for message in request.messages:
+            check_finite(entry, message)
+        yield "bounds"
+        for message in request.messages:
+            clamped += apply_bounds(entry, message)
+        yield "steering"
+        for message in request.messages:
+            check_steering(endpoint, message)
+        if endpoint.joint_limited:
+            yield "joints"
+            legs = _legs(entry, request)
+            yield "kinematics"
+            if entry.path is not None and request.joints is not None:
+                with _judging():
+                    entry.path().check(legs, request.joints)
+        yield "path"
+        if dry_run and request.predict is not None:
+            with _judging():
+                request.predict()
+        if endpoint.kind != "read":
+            yield "emergency_stop"
+            self.latch.check(" Nothing was sent.")
+        yield "rate"
+        if not request.repeated:
+            self._check_rate(rate, request, dry_run)
+
+    def _check_rate(self, rate: RateLimit, request: GateRequest, dry_run: bool) -> None:
+        times_s = request.send_at_s or (0.0,) * max(1, len(request.messages))
+        wait_s = rate.wait_s(times_s) if dry_run else rate.take(times_s, request)
+        if wait_s == 0.0:
+            return
+        name = request.endpoint
+        if math.isinf(wait_s):
+            text = f"The messages for {name!r} follow each other faster than its {rate.rate_hz:g} per second."
+            raise RefusedError(text, hint="Give the steps more time.")
+        raise RefusedError(f"Too many messages for {name!r}.", hint=f"Wait {wait_s:.2f} s.")
+
+    def _write(self, request: GateRequest, verdict: Verdict) -> None:
+        words = ("would_refuse", "would_allow") if verdict.dry_run else ("refused", "allowed")
+        found = self._entries.get((request.robot, request.endpoint))
+        record = AuditRecord(
+            who=request.who[:200],
+            role=request.role[:20],
+            tool=request.tool[:200],
+            robot=request.robot[:200],
+            endpoint=request.endpoint[:200],
+            verdict=words[verdict.allowed],
+            rule=verdict.rule,
+            reason=verdict.reason[:500],
+            arguments=request.arguments,
+            clamped=tuple(f"{c.path}: {c.asked:g} -> {c.sent:g}" for c in verdict.clamped[:20]),
+        )
+        try:
+            self.audit.write(record)
+        except RefusedError:  # reading goes on and refusals stay refusals when the disk is full
+            if found is not None and found[0].endpoint.kind != "read" and verdict.may_send:
+                raise
+
+
+def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
+    """The path of the joints that a request asks for; raises RefusedError as `check_joints`."""
+    commands = [command for message in request.messages for command in joint_commands(message)]
+    if entry.profile is None or not commands:
+        raise RefusedError(f"The joint limits of {entry.endpoint.name!r} cannot be checked for {entry.endpoint.type}.")
+    durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
+    return check_joints(joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s)
+
+
+@contextmanager
+def _judging() -> Iterator[None]:
+    """What keeps a path from being judged is a refusal."""
+    try:
+        yield
+    except RefusedError:
+        raise
+    except RoboNeuronError as error:
+        raise RefusedError(f"The path of the arm cannot be judged: {error.message}", hint=error.hint) from error
+
+
+def _not_allowed(request: GateRequest, entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]]) -> RefusedError:
+    exposed = sorted({name for robot, name in entries if robot == request.robot})
+    if not exposed:
+        robots = ", ".join(sorted({robot for robot, _ in entries})) or "none"
+        return RefusedError(f"No endpoint of a robot called {request.robot[:60]!r} is exposed; robots: {robots}.")
+    listed = ", ".join(exposed[:20]) + (" ..." if len(exposed) > 20 else "")
+    return RefusedError(f"{request.endpoint[:60]!r} of {request.robot!r} is not exposed; exposed are: {listed}.")

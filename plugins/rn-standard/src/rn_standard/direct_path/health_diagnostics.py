@@ -1,0 +1,45 @@
+"""What the server says on /diagnostics of modules that cannot say it themselves."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView, Supervisor
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+
+class HealthDiagnostics:
+    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change of its health."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._send: Callable[[DiagnosticArray], None] | None = None
+
+    def publish(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Publish one change; a listener of `Events.health`."""
+        if view.choice is None:
+            return
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
+
+        from roboneuron.feature import DIAGNOSTICS, STATUS
+
+        if self._send is None:
+            self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
+        level: Any = DiagnosticStatus.OK
+        if health in FAULTS:
+            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+        told = DiagnosticStatus(
+            level=level,
+            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
+            message=EXPLANATIONS[health],
+            hardware_id=str(os.getpid()),
+            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
+        )
+        message = DiagnosticArray(status=[told])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+        self._send(message)

@@ -1,0 +1,110 @@
+"""Types, finiteness and per-field limits."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from typing import Any
+
+from rn_standard.direct_path.fields import (
+    FLOATS,
+    INTEGERS,
+    find_nonfinite,
+    find_outside,
+    load_type,
+    read_number,
+    type_name_of,
+    walk_fields,
+)
+from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
+from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
+from roboneuron import ConfigurationError, Endpoint, RefusedError
+from roboneuron.feature import TOPIC_RULE
+
+_TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
+_TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
+_PART = {"srv": "Request", "action": "Goal"}
+"""What is sent of a type that is no message."""
+PARAMETER_QUERIES = frozenset(f"rcl_interfaces/srv/{verb}Parameters" for verb in ("Get", "List", "Describe"))
+"""Services that change nothing: they may be endpoints of kind "read"."""
+
+
+def check_endpoint(endpoint: Endpoint) -> None:
+    """Raise unless an endpoint of a profile or a configuration can be exposed.
+
+    Raises:
+        ConfigurationError: its name, kind, topic, type or a bounded field cannot be.
+    """
+    where = f"Endpoint {endpoint.name!r}"
+    if not _NAME.match(endpoint.name):
+        raise ConfigurationError(f"{where}: the name must be lower-case letters, digits and underscores.")
+    if endpoint.kind not in ROLE_BY_KIND:
+        raise ConfigurationError(f"{where}: kind {endpoint.kind!r} is none of {', '.join(ROLE_BY_KIND)}.")
+    if len(endpoint.topic) > 200 or not _TOPIC.match(endpoint.topic):
+        raise ConfigurationError(f"{where}: {endpoint.topic[:80]!a} is not a topic name.", hint=TOPIC_RULE)
+    if not (math.isfinite(endpoint.rate_hz) and endpoint.rate_hz >= 0.0):
+        raise ConfigurationError(f"{where}: rate_hz = {endpoint.rate_hz} must be 0 or more.")
+    ros_type = sent_type(endpoint)
+    numbers = {path: name for path, name in walk_fields(ros_type) if name in FLOATS | INTEGERS}
+    for path, (low, high) in endpoint.bounds.items():
+        if path not in numbers:
+            raise ConfigurationError(
+                f"{where}: {endpoint.type} has no number {path!r}.",
+                hint=f"Numbers: {', '.join(sorted(numbers)[:20])}.",
+            )
+        if not low <= high or (numbers[path] in INTEGERS and not _are_integers(low, high)):
+            raise ConfigurationError(f"{where}: the bounds of {path} are [{low}, {high}].")
+
+
+def sent_type(endpoint: Endpoint) -> Any:
+    """The rosidl class of what an endpoint is sent: its message, request or goal. Raises ConfigurationError."""
+    ros_type = load_type(endpoint.type)
+    kind = endpoint.type.split("/")[1]
+    is_query = endpoint.kind == "read" and endpoint.type in PARAMETER_QUERIES
+    if kind != {"service": "srv", "action": "action"}.get(endpoint.kind, "msg") and not is_query:
+        raise ConfigurationError(f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {endpoint.type}.")
+    return getattr(ros_type, _PART[kind]) if kind in _PART else ros_type
+
+
+def _are_integers(low: float, high: float) -> bool:
+    """Bounds of an integer field are integers, so that a clamped value lies within."""
+    return all(math.isinf(bound) or bound == int(bound) for bound in (low, high))
+
+
+def check_type(endpoint: Endpoint, message: Any) -> None:
+    """Raise RefusedError unless the message is of the endpoint's type."""
+    part = _PART.get(endpoint.type.split("/")[1])
+    came, expected = type_name_of(message), f"{endpoint.type}_{part}" if part else endpoint.type
+    if came != expected:
+        raise RefusedError(f"A {came} came for endpoint {endpoint.name!r}, which takes {expected}.")
+
+
+def check_finite(allowed: AllowedEndpoint, message: Any) -> None:
+    """Raise RefusedError for a NaN or an infinity anywhere but in the fields configured for them."""
+    path = find_nonfinite(message, allowed.nonfinite)
+    if path:
+        raise RefusedError(f"{path} is not finite; nothing was sent to {allowed.endpoint.name!r}.")
+
+
+def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
+    """Raise RefusedError for a value out of bounds; clamp, in the message, where that is configured."""
+    clamps = []
+    for path, (low, high) in allowed.endpoint.bounds.items():
+        for place in find_outside(message, path, low, high):
+            if path not in allowed.clamp or math.isnan(place.value):
+                raise RefusedError(f"{place.path} is {place.value:g}, allowed is {low:g} .. {high:g}.")
+            sent = low if place.value < low else high
+            place.write(sent)
+            clamps.append(Clamp(path=place.path, asked=place.value, sent=sent))
+    return tuple(clamps)
+
+
+def check_steering(endpoint: Endpoint, message: Any) -> None:
+    """Raise RefusedError for a velocity that the base cannot carry out. Source: `check_twist`."""
+    prefix = _TWISTS.get(endpoint.type)
+    if prefix is None or endpoint.min_turning_radius_m <= 0.0:
+        return
+    values = {path: read_number(message, prefix + path) for path in TWIST_FIELDS}
+    check_twist(replace(endpoint, bounds={}), values)

@@ -1,0 +1,263 @@
+"""The gate as features use it: they say what is to be sent, and it is judged and sent here; nobody gets a publisher."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from rn_standard.direct_path import delivery
+from rn_standard.direct_path.allow_list import AllowList
+from rn_standard.direct_path.arbiter import Ending, Motion, MotionArbiter
+from rn_standard.direct_path.delivery import Command, Sent
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.request import GateRequest, Verdict
+from rn_standard.direct_path.traffic import Traffic
+from roboneuron import NotReadyError, RefusedError
+
+if TYPE_CHECKING:
+    from unique_identifier_msgs.msg import UUID
+
+    from rn_standard.direct_path.writer import TopicWriter
+    from roboneuron.feature import Call
+
+_LOOK_S = 0.02
+_LATE_S = 0.25
+"""After a longer wait for a subscriber the gate is asked again."""
+
+
+class MotionGate:
+    """What moves a robot, for features. Usable from any thread; what blocks says so.
+
+    Every message, request and goal passes the gate before it is sent. Motion that lasts has its robot to itself, and is
+    ended by its stop message or a hold when the call is cancelled, a policy starts, or the emergency stop is pressed.
+
+    Attributes:
+        max_duration_s: longest motion, sequence or goal that a feature may ask for [s].
+        expose, on_change, relimit: see `AllowList`.
+        check, slowdown: see `Gate`; requests that send nothing, such as reading, are only checked.
+        check_free, claim, end_motions: see `MotionArbiter`.
+        newest_joints, joints: what is measured, see `Traffic`.
+        is_served, cancel_goal: services and actions, see `Traffic`.
+    """
+
+    def __init__(
+        self, gate: Gate, arbiter: MotionArbiter, traffic: Traffic, allow_list: AllowList, max_duration_s: float,
+        permit: Callable[[Exposed], None] = lambda exposed: None, is_still: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
+        self._permit, self._is_still = permit, is_still
+        self._gate = gate
+        self._traffic = traffic
+        self._allow_list = allow_list
+        self.max_duration_s = max_duration_s
+        self.expose, self.on_change, self.relimit = allow_list.expose, allow_list.on_change, allow_list.relimit
+        self.check, self.slowdown = gate.check, gate.slowdown
+        self.check_free, self.claim, self.end_motions = arbiter.check_free, arbiter.claim, arbiter.end_all
+        self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
+        self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
+
+    @property
+    def exposed(self) -> tuple[Exposed, ...]:
+        """What agents may use now, by any feature; the action topic of an arm is among it, hidden."""
+        return self._allow_list.exposed
+
+    def ask(self, exposed: Exposed, request: GateRequest) -> Verdict:
+        """Whether a request could be carried out now, and if not, by which rule. `request` is a dry run."""
+        try:
+            self.check_free(exposed)
+        except RefusedError as error:
+            rule = "emergency_stop" if self._gate.latch.is_latched() else "ownership"
+            return Verdict(allowed=False, dry_run=True, reason=str(error), rule=rule)
+        return self._gate.check(request)
+
+    def send_request(
+        self, exposed: Exposed, request: GateRequest, on_answer: Callable[[], None]
+    ) -> tuple[Verdict, Call | None]:
+        """Send the request to a service at once, if the gate allows it.
+
+        Args:
+            exposed: which service.
+            request: holds the one message.
+            on_answer: called when the answer is there, on the thread of the ROS node.
+
+        Returns:
+            The answer of the gate, and the call on its way; None when nothing was sent.
+
+        Raises:
+            RefusedError: the gate, or somebody else moves the robot.
+        """
+        is_query = exposed.endpoint.kind == "read"  # it changes nothing, so it is answered in a dry run too
+        if not is_query:
+            self.check_free(exposed)
+        verdict = self._gate.check(request)
+        if not (verdict.allowed if is_query else verdict.may_send):
+            return verdict, None
+        if not is_query:
+            self._permit(exposed)
+        call = self._traffic.link().call(exposed.ros_type, exposed.topic, request.messages[0], on_answer)
+        return verdict, call
+
+    def send_goal(
+        self, exposed: Exposed, request: GateRequest, motion: Motion, goal_id: UUID, server_s: float,
+        on_feedback: Callable[[Any], None],
+    ) -> tuple[Verdict, Any]:  # fmt: skip
+        """Send the goal to an action as soon as that is served, if the gate allows it.
+
+        Args:
+            exposed: which action.
+            request: holds the one goal.
+            motion: the robot's motion, from `claim`.
+            goal_id: as it is cancelled by, for as long as it runs: `cancel_goal` passes no gate.
+            server_s: longest wait for the action server.
+            on_feedback: called with each feedback message, on the thread of the ROS node.
+
+        Returns:
+            The answer of the gate, and rclpy's future of the goal handle; None when nothing was sent.
+
+        Raises:
+            RefusedError: the gate; also when the emergency stop was pressed.
+            NotReadyError: nobody serves the action.
+            StateError: the motion has to end.
+        """
+        motion.check()
+        verdict = self._gate.check(request)  # first: what is refused waits for nobody
+        if not verdict.may_send:
+            return verdict, None
+        if not self.is_served(exposed):
+            deadline_s = time.monotonic() + server_s
+            while not self.is_served(exposed):
+                if time.monotonic() >= deadline_s:
+                    raise NotReadyError(
+                        f"Nobody serves the action {exposed.topic}: nothing was sent.", hint="Start it."
+                    )
+                motion.sleep_until(min(deadline_s, time.monotonic() + _LOOK_S))
+            joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
+            self._gate.check(replace(request, repeated=True, joints=joints))
+        self._permit(exposed)
+        motion.check()
+        client = self._traffic.action_client(exposed)
+        return verdict, client.send_goal_async(
+            request.messages[0], feedback_callback=lambda message: on_feedback(message.feedback), goal_uuid=goal_id
+        )
+
+    def publish_now(self, exposed: Exposed, request: GateRequest, *, stamped: bool = False) -> Sent | None:
+        """As `publish`, without blocking; None when something has to be waited for first: then `publish` it."""
+        writer = self._traffic.known_writer(exposed)
+        if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
+            return None
+        matched = writer.matched()
+        if not matched:
+            return None
+        started_s = time.monotonic()
+        self.check_free(exposed)
+        verdict = self._gate.check(request)
+        if verdict.may_send:
+            delivery.send(writer, request.messages[0], stamped)
+        return Sent(
+            verdict=verdict,
+            messages=int(verdict.may_send),
+            subscribers=matched,
+            duration_s=time.monotonic() - started_s,
+        )
+
+    def publish(self, exposed: Exposed, request: GateRequest, *, timeout_s: float, stamped: bool = False) -> Sent:
+        """Send one message; blocks.
+
+        Args:
+            exposed: through which endpoint.
+            request: holds the message.
+            timeout_s: longest wait for a subscriber.
+            stamped: the message's header is to carry the time of sending.
+
+        Raises:
+            RefusedError, NotReadyError, ConfigurationError: as `play`.
+        """
+        request = self._with_joints(exposed, request, timeout_s)
+        if request.dry_run:
+            return self._asked(exposed, request)
+        self.check_free(exposed)
+        verdict = self._gate.check(request)
+        writer = self._traffic.writer(exposed)
+        if not verdict.may_send:
+            return Sent(verdict=verdict, subscribers=writer.listening())
+        matched = self._connect(exposed, writer, request, timeout_s, owned=False)
+        self._permit(exposed)
+        started_s = time.monotonic()
+        delivery.send(writer, request.messages[0], stamped)
+        return Sent(verdict=verdict, messages=1, subscribers=matched, duration_s=time.monotonic() - started_s)
+
+    def play(
+        self, exposed: Exposed, request: GateRequest, commands: Iterable[Command], *, total_s: float, timeout_s: float,
+        halt: threading.Event, details: Callable[[], str] = lambda: "",
+    ) -> Sent:  # fmt: skip
+        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its end; blocks.
+
+        Args:
+            exposed: through which endpoint.
+            request: holds the messages that are known beforehand.
+            commands: asked for the next one when it is due; what it raises ends the motion.
+            total_s: how long the motion is to last, for messages.
+            timeout_s: longest wait for a subscriber.
+            halt: set when the call is cancelled.
+            details: more to say of a motion that ended early.
+
+        Raises:
+            RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended it.
+            NotReadyError: nobody subscribes.
+            StateError: cancelled, or a policy took over.
+            ConfigurationError: the topic carries another type.
+        """
+        request = self._with_joints(exposed, request, timeout_s)
+        if request.dry_run:
+            return self._asked(exposed, request)
+        with self.claim(exposed, request.tool, halt) as motion:
+            verdict = self._gate.check(request)
+            writer = self._traffic.writer(exposed)
+            if not verdict.may_send:
+                return Sent(verdict=verdict, subscribers=writer.listening())
+            matched = self._connect(exposed, writer, request, timeout_s, owned=True)
+            self._permit(exposed)
+            try:
+                end = delivery.run(
+                    motion, writer, self._gate, request, commands,
+                    joints=lambda: self.newest_joints(exposed), total_s=total_s, details=details,
+                )  # fmt: skip
+            finally:
+                self._gate.release(request)
+            end.check()
+            return Sent(
+                verdict=verdict,
+                messages=end.sent,
+                subscribers=matched,
+                duration_s=end.after_s,
+                stopped=end.ending in (Ending.STOP_MESSAGE, Ending.HOLD),
+            )
+
+    def _with_joints(self, exposed: Exposed, request: GateRequest, timeout_s: float) -> GateRequest:
+        if exposed.endpoint.joint_limited and request.joints is None:
+            return replace(request, joints=self.joints(exposed, timeout_s))
+        return request
+
+    def _asked(self, exposed: Exposed, request: GateRequest) -> Sent:
+        return Sent(verdict=self.ask(exposed, request), subscribers=self._traffic.writer(exposed).listening())
+
+    def _connect(
+        self, exposed: Exposed, writer: TopicWriter, request: GateRequest, timeout_s: float, *, owned: bool
+    ) -> int:
+        started_s = time.monotonic()
+        needed = exposed.require_subscriber
+        matched = writer.connect(timeout_s if needed or writer.listening() else 0.0)
+        if needed and not matched:
+            raise NotReadyError(
+                f"Nobody subscribes to {exposed.topic} ({exposed.endpoint.type}): nothing was sent.",
+                hint="Start the robot, or look at list_topics.",
+            )
+        if time.monotonic() - started_s > _LATE_S:
+            if not owned:
+                self.check_free(exposed)
+            joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
+            self._gate.check(replace(request, repeated=True, joints=joints))
+        return matched

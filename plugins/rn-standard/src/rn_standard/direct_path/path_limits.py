@@ -1,0 +1,161 @@
+"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules of control."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboneuron import JointSample, Posture, RefusedError, RobotProfile, UnsafeError
+from roboneuron.feature import F64, MotionRules, Reach, TaskSpace
+
+MAX_POSTURES = 20_000
+"""Longer paths are refused: checking them would take seconds."""
+_SLACK = 1e-6
+"""Relative: what rounding may add to a speed."""
+
+
+class LimitError(RefusedError):
+    """A motion breaks a limit; `limit` is its name, from `LIMITS`."""
+
+    def __init__(self, limit: str, message: str, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.limit = limit
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Leg:
+    """A segment of a joint path: some joints move to `position`, the others stay.
+
+    Attributes:
+        names: the joints that are commanded.
+        position: where they go, float64 (n,) [rad or m].
+        duration_s: time for it; None when nobody knows, then its speed is not judged.
+        velocity: float64 (n,), at the end of the leg, where the command states one: drivers may take a cubic then.
+        where: place in the command, for messages.
+    """
+
+    names: tuple[str, ...]
+    position: F64
+    duration_s: float | None
+    velocity: F64 | None = None
+    where: str = ""
+
+
+class PathLimiter:
+    """Checks paths in joint space for one arm; thread-safe.
+
+    `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as a line, so that
+    neither a zone nor a link is missed. Singularities are no limit here: joint motions do not depend on the
+    Jacobian's inverse.
+
+    Args:
+        rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction is for actions.
+        profile: of the robot, with the `collision` in force.
+        inspect: tells a posture's TCP and distances; raises UnsafeError.
+    """
+
+    def __init__(self, rules: MotionRules, profile: RobotProfile, inspect: Callable[[JointSample], Posture]) -> None:
+        self._task = TaskSpace(rules)
+        self._needs_distances = profile.collision is not None
+        self._inspect = inspect
+        self._reach = Reach(profile)
+        self._lock = threading.Lock()
+
+    def check(self, legs: Iterable[Leg], joints: JointSample) -> None:
+        """Raise LimitError for the first limit that the path violates.
+
+        Args:
+            legs: one after the other.
+            joints: where the arm is; every joint of it.
+        """
+        ratio, reason = 1.0, ""
+        with self._judging():
+            for leg, before, there, duration_s in self._walk(legs, joints):
+                for name, told in self._task.places(before.pose, there, lambda before=before: before):  # type: ignore[misc]
+                    if name != "singularity":
+                        raise LimitError(name, f"{leg.where}{told}", hint="Choose another way or another target.")
+                for times, told in self._speeds(before, there, duration_s):
+                    if times > ratio:
+                        ratio, reason = times, f"{leg.where}{told}"
+        if ratio > 1.0 + _SLACK:
+            times = math.ceil((ratio - _SLACK) * 100.0) / 100.0
+            raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
+
+    def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
+        """How many times the legs' durations the TCP needs to stay within its speeds, at least 1."""
+        with self._judging():
+            steps = self._walk(legs, joints)
+            return max([1.0, *(times for _, a, b, duration_s in steps for times, _ in self._speeds(a, b, duration_s))])
+
+    @contextmanager
+    def _judging(self) -> Iterator[None]:
+        """One path at a time; raises LimitError for a posture that cannot be evaluated."""
+        with self._lock:
+            try:
+                yield
+            except UnsafeError as error:
+                raise LimitError("kinematics", f"The motion cannot be judged: {error.message}") from error
+
+    def _speeds(self, before: Posture, there: Posture, duration_s: float) -> Iterator[tuple[float, str]]:
+        """How many times a limit of the TCP's speed is exceeded between two postures, and what is said of it."""
+        if duration_s:
+            motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
+            yield from ((times, reason) for name, times, reason in self._task.excess(motion) if name == "speed")
+
+    def _walk(self, legs: Iterable[Leg], joints: JointSample) -> Iterator[tuple[Leg, Posture, Posture, float]]:
+        """Postures that follow each other on the legs, and the time between them [s], 0 when nobody knows."""
+        finite = np.isfinite(joints.position)
+        names = tuple(name for name, good in zip(joints.names, finite.tolist(), strict=True) if good)
+        here = np.asarray(joints.position, dtype=np.float64)[finite]
+        velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._look(names, here)
+        for leg in legs:
+            target, end_velocity = _target(leg, names, here)
+            change, duration_s = target - here, leg.duration_s or 0.0
+            bends: list[tuple[F64, F64] | None] = [None]
+            if leg.velocity is not None and duration_s:  # a driver may take the line or the cubic
+                bends.append((velocity * duration_s, end_velocity * duration_s))
+            for bend in bends:
+                farthest = np.abs(change) if bend is None else np.abs([change, *np.multiply(bend, 1.5)]).max(axis=0)
+                count = self._reach.count(names, farthest)
+                left -= count
+                if left < 0:
+                    raise LimitError("length", "The way is too long to be judged.", hint="Send it in several calls.")
+                before = start
+                for position in here + _shape(change, bend, count):
+                    there = self._look(names, position)
+                    yield leg, before, there, duration_s / count
+                    before = there
+            here, velocity, start = target, end_velocity, before
+
+    def _look(self, names: tuple[str, ...], position: F64) -> Posture:
+        posture = self._inspect(JointSample(names=names, position=position))
+        if self._needs_distances and posture.near is None:
+            raise UnsafeError("the controller tells no distances between links; see limits.collision")
+        return posture
+
+
+def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
+    """Position and velocity of all joints at the end of a leg."""
+    target, velocity = here.copy(), np.zeros_like(here)
+    for index, name in enumerate(leg.names):
+        if name not in names:
+            raise UnsafeError(f"Joint {name!r} is not measured.")
+        target[names.index(name)] = leg.position[index]
+        if leg.velocity is not None:
+            velocity[names.index(name)] = leg.velocity[index]
+    return target, velocity
+
+
+def _shape(change: F64, bend: tuple[F64, F64] | None, count: int) -> F64:
+    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic with these slopes."""
+    s = np.arange(1, count + 1)[:, np.newaxis] / count
+    if bend is None:
+        line: F64 = s * change
+        return line
+    cubic: F64 = s * s * (3.0 - 2.0 * s) * change + s * (1.0 - s) ** 2 * bend[0] - s * s * (1.0 - s) * bend[1]
+    return cubic

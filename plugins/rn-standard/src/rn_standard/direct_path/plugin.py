@@ -1,0 +1,16 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="direct-path",
+    summary="The gate of the direct path: judges, sends and ends every message, request and goal for an agent.",
+    target="rn_standard.direct_path.feature:DirectPath",
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

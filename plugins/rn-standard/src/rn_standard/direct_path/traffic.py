@@ -1,0 +1,124 @@
+"""The ROS side of direct motion: writers, action clients and measured joints, made when they are first needed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rn_standard.direct_path.exposed import Exposed
+from roboneuron import InvalidInputError, JointSample
+from roboneuron.feature import JOINT_STATES
+
+if TYPE_CHECKING:
+    from unique_identifier_msgs.msg import UUID
+
+    from rn_standard.direct_path.writer import NewestMessage, TopicWriter
+    from roboneuron.feature import RosLink
+
+JOINTS_AGE_S = 0.5
+"""Older measurements are as good as none."""
+_POLL_S = 0.01
+_SETTLE_S = 0.1
+"""After the first sight of an action server: until it has matched our side too, its answer would be lost."""
+
+
+class Traffic:
+    """Keeps what was made; usable from any thread.
+
+    Attributes:
+        link: the open link; may block for the second that joining the graph takes, and raises as `Connection.link`.
+    """
+
+    def __init__(self, link: Callable[[], RosLink]) -> None:
+        self.link = link
+        self._lock = threading.Lock()
+        self._writers: dict[tuple[str, str], TopicWriter] = {}
+        self._actions: dict[tuple[str, str], Any] = {}
+        self._settled: set[str] = set()
+        self._joints: dict[str, NewestMessage] = {}
+
+    def known_writer(self, exposed: Exposed) -> TopicWriter | None:
+        """The writer if there is one; never blocks."""
+        return self._writers.get((exposed.topic, exposed.endpoint.type))
+
+    def writer(self, exposed: Exposed) -> TopicWriter:
+        """The writer of a topic."""
+        from rn_standard.direct_path.writer import TopicWriter  # heavy
+
+        link, key = self.link(), (exposed.topic, exposed.endpoint.type)
+        with self._lock:
+            if key not in self._writers:
+                self._writers[key] = TopicWriter(link, exposed.ros_type, exposed.endpoint.type, exposed.topic)
+            return self._writers[key]
+
+    def is_served(self, exposed: Exposed) -> bool:
+        """Whether somebody serves the service or action; blocks for a moment when that is new of an action."""
+        link = self.link()
+        if exposed.endpoint.kind != "action":
+            return link.is_service_ready(exposed.ros_type, exposed.topic)
+        from action_msgs.srv import CancelGoal  # heavy
+
+        if not self.action_client(exposed).server_is_ready():
+            self._settled.discard(exposed.topic)
+            return False
+        if exposed.topic not in self._settled:
+            link.is_service_ready(CancelGoal, _cancel_name(exposed))  # so that it is known once it is needed
+            time.sleep(_SETTLE_S)
+            self._settled.add(exposed.topic)
+        return True
+
+    def action_client(self, exposed: Exposed) -> Any:
+        """The rclpy client of an action, for as long as the link is open."""
+        from rclpy.action import ActionClient  # heavy
+
+        link, key = self.link(), (exposed.topic, exposed.endpoint.type)
+        with self._lock:
+            if key not in self._actions:
+                self._actions[key] = link.on_executor(lambda: ActionClient(link.node, exposed.ros_type, exposed.topic))
+            return self._actions[key]
+
+    def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
+        """Ask the server of an action to end a goal, by its id: also when the answer to the goal was lost.
+
+        Returns at once.
+        """
+        from action_msgs.msg import GoalInfo  # heavy
+        from action_msgs.srv import CancelGoal  # heavy
+
+        request = CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id))
+        self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
+
+    def newest_joints(self, exposed: Exposed) -> JointSample | None:
+        """The measured joints of the endpoint's robot, None when there are no recent ones; never blocks."""
+        watch = self._joints.get(exposed.namespace)
+        message = watch.newest(JOINTS_AGE_S) if watch is not None else None
+        if message is None:
+            return None
+        from roboneuron.feature import joints_from_message  # heavy
+
+        try:
+            return joints_from_message(message)
+        except InvalidInputError:
+            return None
+
+    def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
+        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states may come late."""
+        link, space = self.link(), exposed.namespace
+        from sensor_msgs.msg import JointState  # heavy
+
+        from rn_standard.direct_path.writer import NewestMessage  # heavy
+
+        with self._lock:
+            if space not in self._joints:
+                self._joints[space] = NewestMessage(link, JointState, f"/{space}/{JOINT_STATES}")
+        deadline_s = time.monotonic() + timeout_s
+        self._joints[space].open(timeout_s)
+        while (joints := self.newest_joints(exposed)) is None and time.monotonic() < deadline_s:
+            time.sleep(_POLL_S)
+        return joints
+
+
+def _cancel_name(exposed: Exposed) -> str:
+    return f"{exposed.topic}/_action/cancel_goal"

@@ -1,0 +1,168 @@
+"""Publishing and hearing with the quality of service of whoever is at the other end of the topic."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+
+from roboneuron import ConfigurationError
+from roboneuron.feature import UNSENT, requested_qos
+
+if TYPE_CHECKING:
+    from roboneuron.feature import RosLink
+
+_DEPTH = 10
+_POLL_S = 0.005
+_SETTLE_S = 0.03
+"""After the first match: until the other side has matched too, a volatile message would be lost there."""
+
+
+def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
+    """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
+
+    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
+    """
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+    asked = [info.qos_profile for info in subscriptions]
+    if any(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in asked):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    deadlines = [qos.deadline.nanoseconds for qos in asked if qos.deadline.nanoseconds > 0]
+    if deadlines:
+        profile.deadline = Duration(nanoseconds=min(deadlines))
+    if any(qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC for qos in asked):
+        profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+    leases = [q.liveliness_lease_duration.nanoseconds for q in asked if q.liveliness_lease_duration.nanoseconds > 0]
+    if leases:
+        profile.liveliness_lease_duration = Duration(nanoseconds=min(leases))
+    return profile
+
+
+def qos_key(profile: QoSProfile) -> tuple[object, ...]:
+    """What has to be the same for a publisher to be kept."""
+    return (
+        profile.durability,
+        profile.deadline.nanoseconds,
+        profile.liveliness,
+        profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+class TopicWriter:
+    """One topic; made without touching ROS, usable from any thread."""
+
+    def __init__(self, link: RosLink, message_type: type, type_name: str, topic: str) -> None:
+        """Args:
+        link: an open link.
+        message_type, type_name: the rosidl class and its full name.
+        topic: absolute.
+        """
+        self._link = link
+        self._message_type = message_type
+        self._type_name = type_name
+        self.topic = topic
+        self._lock = threading.Lock()
+        self._publisher: Any = None
+        self._key: tuple[object, ...] = ()
+
+    def matched(self) -> int:
+        """Number of subscriptions that the next message goes to; about 5 us."""
+        return 0 if self._publisher is None else int(self._publisher.get_subscription_count())
+
+    def listening(self) -> int:
+        """Number of subscriptions on the topic, whether matched or not; makes no publisher."""
+        return len(self._subscriptions())
+
+    def connect(self, timeout_s: float) -> int:
+        """Wait for a matched subscription; returns how many there are, 0 after `timeout_s`.
+
+        Raises:
+            ConfigurationError: the topic carries another type.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        with self._lock:
+            while True:
+                count = self.matched()
+                if count:
+                    return count
+                self._offer(offered_qos(self._subscriptions()))
+                if self.matched():
+                    time.sleep(_SETTLE_S)
+                    return self.matched()
+                if time.monotonic() >= deadline_s:
+                    return 0
+                time.sleep(_POLL_S)
+
+    def publish(self, message: Any) -> None:
+        """Send; `connect` has been called."""
+        self._publisher.publish(message)
+
+    def publish_if_possible(self, message: Any) -> None:
+        """Send, unless ROS refuses: nothing is connected, or the context is closed."""
+        publisher = self._publisher
+        if publisher is None:
+            return
+        with suppress(*UNSENT):
+            publisher.publish(message)
+
+    def _subscriptions(self) -> list[Any]:
+        found = list(self._link.node.get_subscriptions_info_by_topic(self.topic))
+        foreign = [info.topic_type for info in found if info.topic_type != self._type_name]
+        if foreign:
+            raise ConfigurationError(f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}.")
+        return found
+
+    def _offer(self, profile: Any) -> None:
+        """Have a publisher with this profile; one with another is replaced, because nobody has matched it."""
+        key = qos_key(profile)
+        if self._publisher is not None and key == self._key:
+            return
+        old, node = self._publisher, self._link.node
+
+        def make() -> Any:
+            if old is not None:
+                node.destroy_publisher(old)
+            return node.create_publisher(self._message_type, self.topic, profile)
+
+        self._publisher, self._key = self._link.on_executor(make), key
+
+
+class NewestMessage:
+    """A subscription that is kept, for facts that are needed at once (measured joints). Usable from any thread."""
+
+    def __init__(self, link: RosLink, message_type: type, topic: str) -> None:
+        self._link = link
+        self._message_type = message_type
+        self.topic = topic
+        self._lock = threading.Lock()
+        self._arrived = threading.Event()
+        self._newest: tuple[float, Any] | None = None
+        self._is_open = False
+
+    def newest(self, max_age_s: float) -> Any:
+        """The newest message if it is that young, else None; None as long as `open` was not called."""
+        newest = self._newest
+        return newest[1] if newest is not None and time.monotonic() - newest[0] <= max_age_s else None
+
+    def open(self, timeout_s: float) -> None:
+        """Subscribe, and wait for a first message for at most `timeout_s`."""
+        with self._lock:
+            if not self._is_open:
+                infos = self._link.node.get_publishers_info_by_topic(self.topic)
+                self._link.subscribe(self._message_type, self.topic, self._take, requested_qos(infos, 1))
+                self._is_open = True
+        self._arrived.wait(timeout_s)
+
+    def _take(self, message: Any) -> None:
+        self._newest = (time.monotonic(), message)
+        self._arrived.set()

@@ -1,0 +1,227 @@
+"""The checks, in the order in which one needs the other."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from rn_standard.doctor.finding import Check, Finding, Verdict, failed, ok, warning
+from rn_standard.doctor.images import measure_image_transport
+from roboneuron import RoboNeuronError, RobotSpec
+from roboneuron.feature import (
+    ESTOP_FILE,
+    WHOLE,
+    Config,
+    EmergencyStopLatch,
+    Registry,
+    Status,
+    discover,
+    install_command,
+    prepare_environment,
+    present,
+    state_directory,
+)
+
+MIN_SHARED_MEMORY_MIB = 256
+"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for what others use."""
+MIN_DISK_MIB = 100
+LATE_MS = 20.0
+"""A 640x480 image takes about 2 ms between processes on an idle laptop."""
+_MIB = 1 << 20
+_ROS_S = 30.0
+
+
+def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
+    """Yield each check with what it found; an error is a finding too."""
+    lost = set()
+    for check in CHECKS:
+        if check.needs in lost:
+            yield check, warning(f"{check.question} Not tried: the check {check.needs!r} failed.", "Mend that first.")
+            continue
+        finding = _answer(check, config)
+        if finding.verdict is Verdict.FAILED:
+            lost.add(check.id)
+        yield check, finding
+
+
+def _answer(check: Check, config: Config) -> Finding:
+    try:
+        return check.answer(config)
+    except RoboNeuronError as error:
+        return failed(error.message, error.hint)
+    except Exception as error:  # what is looked at may be broken in any way
+        words = str(error).strip().splitlines() or ["no message"]
+        return failed(f"{check.question} {type(error).__name__}: {words[0]}", "Look at what this names.")
+
+
+def _interpreter(_: Config) -> Finding:
+    text = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores."
+    if platform.system() != "Linux" or sys.version_info < (3, 11):
+        return failed(text, "The ROS wheels are for Linux (x86-64, glibc 2.28 or newer) and Python 3.11 or newer.")
+    return ok(text)
+
+
+def _state(config: Config) -> Finding:
+    directory = state_directory(config.supervisor.state_directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory) as probe:
+            probe.write(b"x")
+    except OSError as error:
+        return failed(
+            f"The state directory {directory} cannot be written: {error.strerror}.",
+            "Logs, audit and the emergency stop's latch live there: without it nothing may move. Set "
+            "supervisor.state_directory or XDG_STATE_HOME to a directory of yours.",
+        )
+    free_mib = shutil.disk_usage(directory).free // _MIB
+    if free_mib < MIN_DISK_MIB:
+        return warning(f"{directory} has {free_mib} MiB left.", "A full disk stops motion: the audit must be written.")
+    return ok(f"{directory} is writable, {free_mib} MiB free.")
+
+
+def _emergency_stop(config: Config) -> Finding:
+    path = state_directory(config.supervisor.state_directory) / ESTOP_FILE
+    state = EmergencyStopLatch(path, time.time_ns).read_state()
+    if state.latched:
+        cause = f" by {state.cause}" if state.cause else ""
+        return warning(f"The emergency stop is latched{cause}.", "Look at the robot, then: roboneuron estop --reset")
+    return ok("The emergency stop is not latched.")
+
+
+def _shared_memory(_: Config) -> Finding:
+    path = Path("/dev/shm")
+    if not path.is_dir():
+        return failed("There is no /dev/shm.", "Images travel in shared memory; in a container, mount a tmpfs there.")
+    usage = shutil.disk_usage(path)
+    text = f"/dev/shm has {usage.free // _MIB} of {usage.total // _MIB} MiB free."
+    if usage.free < MIN_SHARED_MEMORY_MIB * _MIB:
+        return failed(
+            text,
+            f"Each process takes a segment of 32 MiB; {MIN_SHARED_MEMORY_MIB} MiB are wanted. In a container: "
+            "--shm-size=1g. Left over from killed processes: files fastrtps_* that no process holds (fuser tells).",
+        )
+    return ok(text)
+
+
+def _ros(_: Config) -> Finding:
+    if importlib.util.find_spec("rclpy") is None:
+        return failed(
+            "rclpy is not installed.", "It comes with roboneuron-core: is this the environment that it is installed in?"
+        )
+    prepare_environment()
+    problem = _try_ros()
+    if problem:
+        return failed(
+            f"rclpy cannot be used: {problem}",
+            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and RMW_IMPLEMENTATION; then "
+            "install roboneuron-core again.",
+        )
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say")
+    return ok(f"rclpy from {Path(sys.prefix)}, domain {domain}, discovery range {reach}.")
+
+
+def _try_ros() -> str:
+    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the one it runs in."""
+    command = [sys.executable, "-P", "-c", "import rclpy; rclpy.init(); rclpy.shutdown()"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"it did not start within {_ROS_S:g} s."
+    lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+    return "" if done.returncode == 0 else lines[-1] if lines else f"exit status {done.returncode}."
+
+
+def _images(_: Config) -> Finding:
+    prepare_environment()
+    seen = measure_image_transport()
+    if not seen.received:
+        return failed(
+            f"Of {seen.sent} images sent by another process, none arrived.",
+            "Discovery fails or shared memory cannot be used. Unset ROS_*, FASTDDS_* and FASTRTPS_* variables that "
+            "this shell has set, and look whether a firewall blocks UDP on the loopback interface.",
+        )
+    text = (
+        f"{seen.received} of {seen.sent} images of 640x480 arrived from another process, "
+        f"{seen.median_ms:.1f} ms old (median), {seen.worst_ms:.1f} ms at worst."
+    )
+    if seen.median_ms > LATE_MS or seen.received < seen.sent // 2:
+        return warning(text, "Is the machine busy? Otherwise images go over UDP: see FASTRTPS_DEFAULT_PROFILES_FILE.")
+    others = [name for name in seen.neighbours if not name.startswith("/roboneuron_doctor")]
+    if others:
+        shown = ", ".join(sorted(others)[:5])
+        return warning(
+            f"{text} {len(others)} other nodes share this domain: {shown}.",
+            "That is fine for a robot's own nodes; otherwise choose another ROS_DOMAIN_ID.",
+        )
+    return ok(text)
+
+
+def _plugins(config: Config) -> Finding:
+    records = discover(config.disabled_plugins).plugins
+    ready = sum(record.status is Status.READY for record in records)
+    bad = [r.name for r in records if r.status not in (Status.READY, Status.DISABLED)]
+    text = f"{ready} of {len(records)} plugins are ready."
+    if not ready:
+        return failed(text, f"For a start: {install_command(WHOLE)}")
+    if bad:
+        return warning(f"{text} Not ready: {', '.join(bad)}.", "roboneuron plugins list says why and what to install.")
+    return ok(text)
+
+
+def _configuration(config: Config) -> Finding:
+    from roboneuron.feature import check_configuration  # pydantic and plugins' options, not mcp
+
+    registry = discover(config.disabled_plugins)
+    check_configuration(config, registry)
+    names = [f"robot {config.robot.name} ({config.robot.driver}{_chosen(config, registry)})"]
+    names += [f"perception {config.perception.source}"] if config.perception else []
+    names += [f"control {config.control.controller}"] if config.control else []
+    names += [f"inference {config.inference.backend}"] if config.inference else []
+    return ok(f"What it names is installed and fits together: {', '.join(names)}.")
+
+
+def _chosen(config: Config, registry: Registry) -> str:
+    """Which of the modules the robot's driver can choose from are installed; it takes the first unless told."""
+    driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
+    choices = [present(requirement) for requirement in driver.requires if requirement.alternatives] if driver else []
+    return "".join(f" with {' or '.join(modules)}" for modules in choices)
+
+
+def _gpu(_: Config) -> Finding:
+    if importlib.util.find_spec("torch") is None:
+        return ok("torch is not installed: model backends cannot run, visual servoing needs none.")
+    torch = importlib.import_module("torch")  # heavy; an optional part of the machine, not of this package
+
+    build = f"CUDA {torch.version.cuda} build" if torch.version.cuda else "CPU build"
+    if not torch.cuda.is_available():
+        small = " Without a GPU the CPU build, which is smaller, does the same." if torch.version.cuda else ""
+        return warning(
+            f"torch {torch.__version__} ({build}) sees no CUDA device.",
+            "Models of billions of parameters take seconds for an action on a CPU. With an NVIDIA GPU: nvidia-smi "
+            f"must list it, and torch must be a CUDA build.{small} README.md, PyTorch, says how to choose.",
+        )
+    properties = torch.cuda.get_device_properties(0)
+    return ok(f"torch {torch.__version__} ({build}) on {properties.name}, {properties.total_memory // _MIB} MiB.")
+
+
+CHECKS = (
+    Check(id="interpreter", question="Is this a system RoboNeuron runs on?", answer=_interpreter),
+    Check(id="state", question="Can logs, audit and latch be written?", answer=_state),
+    Check(id="emergency-stop", question="May the robot move?", answer=_emergency_stop),
+    Check(id="shared-memory", question="Is there room for images?", answer=_shared_memory),
+    Check(id="ros", question="Is ROS 2 there?", answer=_ros),
+    Check(id="images", question="Do images get from process to process?", answer=_images, needs="ros"),
+    Check(id="plugins", question="Are the plugins ready?", answer=_plugins),
+    Check(id="configuration", question="Does the configuration fit together?", answer=_configuration),
+    Check(id="gpu", question="What do models run on?", answer=_gpu),
+)

@@ -1,0 +1,112 @@
+"""Images from a second process: does the transport work, and how long do they take?"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+from roboneuron import NotReadyError
+
+IMAGES = 20
+_SIZE_PX = (640, 480)
+_PERIOD_S = 0.05
+_DISCOVERY_S = 10.0
+_TIMEOUT_S = 20.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ImageTransport:
+    """What was seen.
+
+    Attributes:
+        sent, received: images.
+        median_ms, worst_ms: age at arrival; 0 when none arrived.
+        neighbours: full names of all nodes in the domain, ours included.
+    """
+
+    sent: int
+    received: int
+    median_ms: float
+    worst_ms: float
+    neighbours: tuple[str, ...]
+
+
+def measure_image_transport() -> ImageTransport:
+    """Receive images that another process sends; takes about 3 s.
+
+    Raises:
+        NotReadyError: the other process did not do its part.
+    """
+    from sensor_msgs.msg import Image  # the message package must not be needed to import this module
+
+    from roboneuron.feature import NEWEST, RosLink, to_ns
+
+    topic = f"/roboneuron_doctor/images_{os.getpid()}"
+    ages_ms: list[float] = []
+    link = RosLink(f"roboneuron_doctor_{os.getpid()}")
+    link.open()
+    try:
+        link.subscribe(Image, topic, lambda m: ages_ms.append((time.time_ns() - to_ns(m.header.stamp)) / 1e6), NEWEST)
+        try:
+            sender = subprocess.run(
+                [sys.executable, "-P", "-m", "rn_standard.doctor.images", topic],
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise NotReadyError(f"The process that sends images hung for {_TIMEOUT_S:g} s.") from error
+        if sender.returncode != 0:
+            words = sender.stderr.strip().splitlines()
+            raise NotReadyError(f"The process that sends images failed: {words[-1] if words else 'no output'}")
+        node = link.node
+        names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
+    finally:
+        link.close()
+    received = list(ages_ms)
+    return ImageTransport(
+        sent=int(sender.stdout.split()[-1]),  # what Fast DDS has to say goes to stdout too
+        received=len(received),
+        median_ms=statistics.median(received) if received else 0.0,
+        worst_ms=max(received, default=0.0),
+        neighbours=tuple(dict.fromkeys(names)),
+    )
+
+
+def send_images(topic: str) -> int:
+    """Publish images once somebody subscribes to `topic`; returns how many (all of them, subscriber or not)."""
+    import numpy as np
+
+    from roboneuron import Frame
+    from roboneuron.feature import prepare_environment
+
+    prepare_environment()
+    from sensor_msgs.msg import Image
+
+    from roboneuron.feature import NEWEST, RosLink, to_image
+
+    link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
+    link.open()
+    try:
+        publish = link.advertise(Image, topic, NEWEST)
+        end_s = time.monotonic() + _DISCOVERY_S
+        while link.node.count_subscribers(topic) == 0 and time.monotonic() < end_s:
+            time.sleep(_PERIOD_S)
+        time.sleep(0.2)  # the subscription's side matches a little later than the publisher's
+        width, height = _SIZE_PX
+        pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
+        for _ in range(IMAGES):
+            publish(to_image(Frame(camera="doctor", image=pixels, stamp_ns=time.time_ns(), frame_id="doctor")))
+            time.sleep(_PERIOD_S)
+        return IMAGES
+    finally:
+        link.close()
+
+
+if __name__ == "__main__":
+    print(send_images(sys.argv[1]))

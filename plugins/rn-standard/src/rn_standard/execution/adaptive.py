@@ -1,0 +1,179 @@
+"""Execution by the measured latency: chunks overlap where that keeps the arm moving.
+
+As in `ChunkExecutor`, everything is decided under one lock, and time comes from outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rn_standard.execution.latency import LatencyWindow, rows_in
+from rn_standard.execution.meter import Delivery, DeliveryMeter
+from rn_standard.execution.mode import Abilities, Choice, Mode, ModeSelector
+from rn_standard.execution.queue import SentRowQueue, fade_rows_of
+from rn_standard.execution.roll_forward import roll_forward
+from roboneuron import ActionChunk, Ahead, Observation
+from roboneuron.feature import F64, Bounds, ChunkExecutor, Prediction, Row
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Execution:
+    """What the status tells of execution.
+
+    Attributes:
+        choice: mode in force and its reason.
+        latency_p50_ms, latency_p99_ms: capture to answer [ms]; None when unknown.
+        delay_rows: rows played during one inference at the worst; None when unknown.
+        rows: that wait to be sent.
+        delivery: how rows were sent.
+    """
+
+    choice: Choice
+    latency_p50_ms: float | None
+    latency_p99_ms: float | None
+    delay_rows: int | None
+    rows: int
+    delivery: Delivery
+
+    def to_values(self) -> dict[str, str | float | int]:
+        """Numbers and words by name, without those that are unknown."""
+        delivery = self.delivery
+        values = {
+            "mode": self.choice.mode,
+            "reason": self.choice.reason,
+            "latency_p50_ms": self.latency_p50_ms,
+            "latency_p99_ms": self.latency_p99_ms,
+            "delay_rows": self.delay_rows,
+            "rows": self.rows,
+            "delivered_rate": delivery.rate,
+            "starved_periods": delivery.starved_periods,
+            "longest_gap_ms": delivery.longest_gap_s * 1e3,
+            "border_jump_mm": delivery.border_jump_mm,
+            "inner_jump_mm": delivery.inner_jump_mm,
+        }
+        return {name: value for name, value in values.items() if value is not None}
+
+
+class AdaptiveExecutor(ChunkExecutor):
+    """Decides for one backend by the measured latency, or in a fixed mode. Thread-safe.
+
+    Args:
+        abilities: of the backend.
+        fixed: the configured mode; None chooses by latency.
+        bounds: ages of images.
+    """
+
+    def __init__(self, abilities: Abilities, *, fixed: Mode | None, bounds: Bounds) -> None:
+        super().__init__(bounds)
+        self._queue = SentRowQueue(self._rows)
+        self._selector = ModeSelector(fixed, abilities)
+        self._latency = LatencyWindow()
+        self._meter = DeliveryMeter()
+        self._horizon = 0
+
+    def wants_prediction(self, now_s: float) -> bool:
+        """As ChunkExecutor; not in `sequential`, while there are rows left."""
+        with self.changed:
+            rows, mode = len(self._rows), self._selector.current.mode
+            if self._step_s is None or mode == "sequential":
+                return super().wants_prediction(now_s)
+            delay_rows = self._delay_rows(self._step_s)
+            if mode == "predicted-state":
+                return rows <= delay_rows + 1
+            # As late as the latency allows: what is predicted later has seen more. The fade needs old rows too.
+            return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
+
+    def begin(self, observation: Observation, captured_ns: int) -> Prediction:
+        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made for that."""
+        with self.changed:
+            mode = self._selector.current.mode
+            step_s = self._step_s
+            if step_s is not None and mode == "rtc":
+                ahead = self._queue.ahead(captured_ns, self._delay_rows(step_s), step_s)
+                observation = replace(observation, ahead=ahead)
+            elif step_s is not None and mode == "predicted-state":
+                observation = self._rolled(observation, step_s)
+            return replace(super().begin(observation, captured_ns), mode=mode)
+
+    def measure(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> None:
+        """As ChunkExecutor: its latency may change the mode."""
+        with self.changed:
+            super().measure(prediction, chunk, now_ns)
+            self._horizon = len(chunk.actions)
+            self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
+            self._selector.update(len(chunk.actions), chunk.step_s, self._latency)
+
+    def play(self, now_s: float, now_ns: int) -> Row | None:
+        """As ChunkExecutor."""
+        with self.changed:
+            row = super().play(now_s, now_ns)
+            if row is not None:
+                self._meter.add(row, now_s)
+            return row
+
+    def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
+        """As ChunkExecutor."""
+        with self.changed:
+            self._heard_s = now_s
+            self._queue.note_sent(vector, now_ns)
+
+    def begin_epoch(self) -> None:
+        """As ChunkExecutor."""
+        with self.changed:
+            self._queue.begin_epoch()
+            self._latency.skip_next()  # after a reset the first answer takes longer
+            super().begin_epoch()
+
+    def drop(self) -> None:
+        """As ChunkExecutor."""
+        with self.changed:
+            self._meter.pause()
+            self._queue.drop()
+            super().drop()
+
+    def values(self) -> dict[str, str | float | int]:
+        """As ChunkExecutor."""
+        return self.status().to_values()
+
+    def status(self) -> Execution:
+        """How it goes."""
+        with self.changed:
+            p50_s, p99_s = self._latency.p50_s, self._latency.p99_s
+            return Execution(
+                choice=self._selector.current,
+                latency_p50_ms=None if p50_s is None else p50_s * 1e3,
+                latency_p99_ms=None if p99_s is None else p99_s * 1e3,
+                delay_rows=None if self._step_s is None else self._delay_rows(self._step_s),
+                rows=len(self._rows),
+                delivery=self._meter.delivery(),
+            )
+
+    def _put(self, prediction: Prediction, chunk: ActionChunk) -> str:
+        if prediction.mode in ("sequential", "predicted-state"):
+            return self._queue.append(chunk, oldest_ns=prediction.observation.stamp_ns)
+        return self._queue.replace(
+            chunk,
+            prediction.captured_ns,
+            oldest_ns=prediction.observation.stamp_ns,
+            max_committed_rows=self._selector.abilities.max_committed_rows,
+        )
+
+    def _take(self, sent_ns: int) -> None:
+        self._queue.pop(sent_ns)
+
+    def _delay_rows(self, step_s: float) -> int:
+        """Rows played during one inference at the worst."""
+        return rows_in(self._latency.p99_s or 0.0, step_s)
+
+    def _rolled(self, observation: Observation, step_s: float) -> Observation:
+        pose = observation.ee_pose
+        if pose is None:
+            return observation
+        rows, done_share = self._queue.rows_to_roll(pose.stamp_ns, step_s)
+        if not len(rows):
+            return observation
+        rolled, gripper_open = roll_forward(pose, observation.gripper_open, rows, done_share)
+        ahead = Ahead(
+            rows=rows, committed_rows=len(rows), step_s=step_s, state_ahead_s=(len(rows) - done_share) * step_s
+        )
+        return replace(observation, ee_pose=rolled, gripper_open=gripper_open, ahead=ahead)

@@ -1,0 +1,73 @@
+"""How evenly rows are sent: rate, starved periods, gaps, jumps at borders."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboneuron.feature import Row
+
+_WINDOW = 512
+"""Rows that rate and jumps are taken over; counters go on for ever."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Delivery:
+    """How rows were sent.
+
+    Attributes:
+        rate: rows sent to rows wanted, 0 .. 1, over the last rows; pauses without an instruction do not count.
+        starved_periods: periods in which no row was there, since the start.
+        longest_gap_s: between two rows [s], since the start.
+        border_jump_mm, inner_jump_mm: mean change of the translation from row to row [mm], at the first row of an
+            answer and elsewhere; None without data.
+    """
+
+    rate: float | None
+    starved_periods: int
+    longest_gap_s: float
+    border_jump_mm: float | None
+    inner_jump_mm: float | None
+
+
+class DeliveryMeter:
+    """Collects what was sent. Used under its owner's lock."""
+
+    def __init__(self) -> None:
+        self._gaps: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._jumps: dict[bool, deque[float]] = {True: deque(maxlen=_WINDOW), False: deque(maxlen=_WINDOW)}
+        self._last: tuple[float, Row] | None = None
+        self.starved_periods = 0
+        self.longest_gap_s = 0.0
+
+    def pause(self) -> None:
+        """Nothing is wanted for now; the time until the next row is no gap."""
+        self._last = None
+
+    def add(self, row: Row, now_s: float) -> None:
+        """A row was sent at that monotonic time [s]."""
+        if self._last is not None:
+            last_s, last = self._last
+            gap_s = now_s - last_s
+            self._gaps.append((gap_s, row.step_s))
+            # Half a period late is jitter; only a period without any row is starvation.
+            self.starved_periods += max(0, int(gap_s / row.step_s + 0.5) - 1)
+            self.longest_gap_s = max(self.longest_gap_s, gap_s)
+            jump_mm = float(np.linalg.norm(row.vector[:3] - last.vector[:3])) * 1e3
+            self._jumps[row.is_border].append(jump_mm)
+        self._last = (now_s, row)
+
+    def delivery(self) -> Delivery:
+        """Everything so far."""
+        spent_s = sum(gap_s for gap_s, _ in self._gaps)
+        wanted_s = sum(step_s for _, step_s in self._gaps)
+        border, inner = (float(np.mean(j)) if j else None for j in (self._jumps[True], self._jumps[False]))
+        return Delivery(
+            rate=min(1.0, wanted_s / spent_s) if spent_s > 0 else None,
+            starved_periods=self.starved_periods,
+            longest_gap_s=self.longest_gap_s,
+            border_jump_mm=border,
+            inner_jump_mm=inner,
+        )

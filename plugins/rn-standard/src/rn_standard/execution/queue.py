@@ -1,0 +1,187 @@
+"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are sent, never timed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import ActionChunk, Ahead
+from roboneuron.feature import Row, rows_of
+
+F64 = NDArray[np.float64]
+FADE_ROWS = 4
+"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother (simulated)."""
+Outcome = Literal["accepted", "late", "unconditioned"]
+"""What became of an answer. `late`: more rows were sent since its image than it has. `unconditioned`: it continues rows
+that were not played as promised (trained prefixes)."""
+_MEMORY = 512
+"""Sent rows that are remembered; an answer that is older is dropped by its image's age long before."""
+
+
+@dataclass(slots=True)
+class _Sent:
+    sent_ns: int
+    vector: F64
+
+
+@dataclass
+class SentRowQueue:
+    """The rows to be sent, oldest first, and what was sent, so that a newer answer can take over in mid-chunk.
+
+    Not thread-safe: its owner holds a lock.
+
+    Attributes:
+        rows: of the executor.
+        fade_rows: length of the cross-fade.
+    """
+
+    rows: deque[Row] = field(default_factory=deque)
+    fade_rows: int = FADE_ROWS
+    _context: Any = None
+    _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
+    _was_unconditioned: bool = False
+
+    def begin_epoch(self) -> None:
+        """Forget every row; those that were sent no longer count as played."""
+        self._sent.clear()
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the rows that are to be sent."""
+        self.rows.clear()
+        self._context = None
+
+    def pop(self, sent_ns: int) -> Row:
+        """Take the next row out, as sent at that time [ns, clock of the stamps]."""
+        row = self.rows.popleft()
+        self._sent.append(_Sent(sent_ns, row.vector))
+        return row
+
+    def note_sent(self, vector: F64, sent_ns: int) -> None:
+        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of our next one."""
+        self._sent.append(_Sent(sent_ns, vector))
+        if self.rows:
+            self.rows.popleft()
+
+    def append(self, chunk: ActionChunk, *, oldest_ns: int = 0) -> Outcome:
+        """Let an answer follow whole after the rows that are there.
+
+        Args:
+            chunk: the answer.
+            oldest_ns: capture time of the oldest image that it answers [ns].
+        """
+        self.rows.extend(rows_of(chunk.actions, chunk, oldest_ns, first=0))
+        self._context = chunk.context
+        return "accepted"
+
+    def sent_since(self, captured_ns: int) -> int:
+        """Rows that were sent after that time."""
+        return len(self._sent_after(captured_ns))
+
+    def ahead(self, captured_ns: int, committed_rows: int, step_s: float) -> Ahead | None:
+        """What a backend that conditions on rows is told: the rows since the capture; None when there are none.
+
+        Args:
+            captured_ns: of the observation's image [ns].
+            committed_rows: rows that will have been sent when the answer comes, at the worst.
+            step_s: period of the rows [s].
+        """
+        sent = self._sent_after(captured_ns)
+        rows = [*sent, *(row.vector for row in self.rows)]
+        if not rows:
+            return None
+        # A chunk's row k is aligned with the k-th row sent since its capture, so the running chunk's context is aligned
+        # with what was sent before its border too.
+        start = self.rows[0].index - len(sent) if self.rows else -1
+        has_context = self._context is not None and start >= 0
+        return Ahead(
+            rows=np.array(rows),
+            committed_rows=min(len(rows), committed_rows),
+            step_s=step_s,
+            context=self._context if has_context else None,
+            context_row=max(start, 0),
+        )
+
+    def rows_to_roll(self, measured_ns: int, step_s: float) -> tuple[F64, float]:
+        """What will have moved the TCP between a measurement and the end of the queue.
+
+        Args:
+            measured_ns: when the pose was measured [ns].
+            step_s: period of the rows [s].
+
+        Returns:
+            float64 (N, 7), oldest first, and the share of the first that was carried out at the measurement, 0 .. 1.
+        """
+        period_ns = step_s * 1e9
+        under_way = [sent for sent in self._sent if sent.sent_ns > measured_ns - period_ns]
+        share = 0.0
+        if under_way and under_way[0].sent_ns < measured_ns:
+            share = (measured_ns - under_way[0].sent_ns) / period_ns
+        rows = [*(sent.vector for sent in under_way), *(row.vector for row in self.rows)]
+        return np.array(rows).reshape(-1, 7), share
+
+    def replace(
+        self, chunk: ActionChunk, captured_ns: int, *, oldest_ns: int = 0, max_committed_rows: int = 0
+    ) -> Outcome:
+        """Let an answer take over from the row that is next.
+
+        Args:
+            chunk: its row 0 is meant for the moment of the capture.
+            captured_ns: of the leading image that it answers [ns].
+            oldest_ns: of the oldest image [ns].
+            max_committed_rows: greatest prefix that the backend was trained for; 0 for no bound.
+        """
+        played = self.sent_since(captured_ns)
+        if played >= len(chunk.actions):
+            return "late"
+        is_overrun = 0 < chunk.conditioned_rows < played and max_committed_rows > 0
+        if is_overrun and not self._was_unconditioned:
+            self._was_unconditioned = True
+            return "unconditioned"
+        self._was_unconditioned = False
+        vectors = chunk.actions[played:]
+        if not chunk.conditioned_rows or is_overrun:
+            fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
+            vectors = cross_fade([row.vector for row in self.rows], vectors, fade_rows)
+        self.rows.clear()
+        self.rows.extend(rows_of(vectors, chunk, oldest_ns, first=played))
+        self._context = chunk.context
+        return "accepted"
+
+    def _sent_after(self, captured_ns: int) -> list[F64]:
+        return [sent.vector for sent in self._sent if sent.sent_ns >= captured_ns]
+
+
+def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
+    """Rows of a chunk that are faded: `most`, but the others are to be at least as many.
+
+    The motion of a faded row is older than its gripper, so a short chunk that is faded all along grasps too early.
+    """
+    return max(0, min(most, horizon - most))
+
+
+def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
+    """Return `new` with its first rows faded in from `old`.
+
+    Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither jumps nor catches up.
+    The gripper's opening is a decision and is never taken half-way: the new value counts from the seam.
+
+    Args:
+        old: float64 (7,) each: what would be played without the new chunk.
+        new: float64 (N, 7).
+        rows: length of the fade; at most as many as both have.
+    """
+    count = min(rows, len(old), len(new))
+    if count == 0:
+        return new
+    faded = np.array(new)
+    share = (np.arange(count) + 1.0)[:, None] / (count + 1.0)
+    before = np.stack(list(islice(old, count)))
+    faded[:count, :6] = (1.0 - share) * before[:, :6] + share * new[:count, :6]
+    return faded

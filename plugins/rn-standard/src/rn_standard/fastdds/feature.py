@@ -1,0 +1,47 @@
+"""The feature: cleans up at the start, follows every module process, and looks after the server's own ports."""
+
+from __future__ import annotations
+
+import logging
+import os
+
+from rn_standard.fastdds.lost_ports import PortWatch
+from rn_standard.fastdds.processes import ProcessCleaner
+from rn_standard.fastdds.segments import owned_segments
+from rn_standard.fastdds.shared_memory import RECORD_NAME, SegmentRecord, clean_abandoned, clean_recorded
+from roboneuron import Feature, Host
+
+log = logging.getLogger(__name__)
+
+
+class SharedMemoryRepair(Feature[None]):
+    """Nobody waits for a killed process, and no shared memory stays behind."""
+
+    _cleaner: ProcessCleaner | None = None
+    _record: SegmentRecord | None = None
+    _ports: PortWatch | None = None
+
+    def start(self, host: Host) -> None:
+        """Clean up after servers and programs that were killed; follow the modules from now on."""
+        directory = host.supervisor.log_directory
+        clean_recorded(directory.parent.glob(f"*/{RECORD_NAME}"))
+        removed, size = clean_abandoned()
+        if removed:
+            log.info("Removed %d shared-memory files (%.0f MB) of processes that were killed.", removed, size / 1e6)
+        self._record = SegmentRecord(directory / RECORD_NAME)
+        self._record.add(owned_segments(os.getpid()))
+        self._cleaner = ProcessCleaner(self._record)
+        events = host.supervisor.process_events
+        events.spawning.listen(self._cleaner.spawning)
+        events.seen.listen(self._cleaner.observe)
+        events.ended.listen(self._cleaner.ended)
+        self._ports = PortWatch()
+        self._ports.start()
+
+    def close(self) -> None:
+        """Close the ports of ended modules and remove what is left of their files."""
+        if self._ports is not None:
+            self._ports.close()
+        if self._cleaner is not None and self._record is not None:
+            self._cleaner.close()
+            self._record.close()

@@ -1,0 +1,142 @@
+"""Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives, removed afterwards.
+
+Its owner holds a lock on `<name>_el` (see `segments.py`): one that can be taken after the owner's death
+proves that nobody else has taken the name over.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+import re
+import threading
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from rn_standard.fastdds.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
+from roboneuron.feature import make_log_directory, opener
+
+log = logging.getLogger(__name__)
+_NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
+_SEGMENT = re.compile(r"^fastrtps_([0-9a-f]{16}|port\d+)$")
+LEAST_AGE_S = 60.0
+"""A segment is made, locked and mapped one after the other: a young one may be on its way."""
+RECORD_NAME = "shared_memory"
+"""Of the record in a server run's log folder."""
+
+
+def remove_stale(names: frozenset[str]) -> int:
+    """Remove those segments whose owner is dead; returns how many were removed."""
+    return sum(_remove_if_stale(name) for name in names)
+
+
+def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S) -> tuple[int, int]:
+    """Remove files of this user whose owners were killed, of whatever program; returns how many, and their bytes.
+
+    Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living process. Ports matter
+    most: their names are used again, and who opens a dead one waits for its listener.
+    """
+    mapped = _mapped(directory)
+    removed = size = 0
+    for path in directory.glob(f"{PREFIX}*"):
+        name = path.name.removesuffix(LOCK_SUFFIX)
+        if name in mapped or not _SEGMENT.match(name):
+            continue
+        with suppress(OSError):
+            found = path.stat()
+            if found.st_uid != os.getuid() or time.time() - found.st_mtime < least_age_s:
+                continue
+            segment = directory / name
+            held = segment.stat().st_size if segment.exists() else 0
+            has_lock = (directory / f"{name}{LOCK_SUFFIX}").exists()
+            if _remove_if_stale(name, directory) if has_lock else _remove(name, directory):
+                removed, size = removed + 1, size + held
+    return removed, size
+
+
+def _mapped(directory: Path) -> set[str]:
+    """Names of files in the directory that a living process maps, as far as this one may look."""
+    names = set()
+    for entry in os.scandir("/proc"):
+        if entry.name.isdigit():
+            with suppress(OSError):
+                text = Path(f"/proc/{entry.name}/maps").read_text(encoding="utf-8", errors="replace")
+                names |= {line.rpartition("/")[2] for line in text.splitlines() if f" {directory}/{PREFIX}" in line}
+    return names
+
+
+def _remove_if_stale(name: str, directory: Path = SHARED_MEMORY) -> bool:
+    lock_file = directory / f"{name}{LOCK_SUFFIX}"
+    try:
+        descriptor = os.open(lock_file, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    else:
+        return _remove(name, directory)
+    finally:
+        os.close(descriptor)
+
+
+def _remove(name: str, directory: Path) -> bool:
+    for file in (name, f"sem.{name}_mutex", f"{name}{LOCK_SUFFIX}", f"{name}_sl"):
+        (directory / file).unlink(missing_ok=True)
+    return True
+
+
+class SegmentRecord:
+    """A file that names the segments of a server and its modules, so that the next server can clean up after a kill.
+
+    Args:
+        path: one file for each server run; made with the first name, gone after `close`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+
+    def add(self, names: frozenset[str]) -> None:
+        """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
+        with self._lock:
+            try:
+                make_log_directory(self._path.parent)
+                with open(self._path, "a", encoding="ascii", opener=opener) as file:
+                    file.writelines(f"{name}\n" for name in sorted(names))
+            except OSError as error:
+                log.warning("The names of shared-memory files cannot be recorded: %s", error)
+
+    def close(self) -> None:
+        """Everything has ended in order: remove what is stale all the same, and the file."""
+        with self._lock:
+            _clean(self._path)
+
+
+def clean_recorded(records: Iterable[Path]) -> int:
+    """Remove the stale segments of servers that are gone, and their records; returns how many segments that were.
+
+    Args:
+        records: files of `SegmentRecord`, in folders whose names end in "-<pid>".
+    """
+    return sum(_clean(record) for record in records if not _is_alive(record.parent.name.rpartition("-")[2]))
+
+
+def _clean(record: Path) -> int:
+    """What is left afterwards belongs to the living."""
+    try:
+        names = frozenset(_NAME.findall(record.read_text(encoding="ascii")))
+    except (OSError, UnicodeDecodeError):
+        return 0
+    removed = remove_stale(names)
+    with suppress(OSError):
+        record.unlink()
+    return removed
+
+
+def _is_alive(pid: str) -> bool:
+    return Path(f"/proc/{pid}").exists()

@@ -1,0 +1,9 @@
+"""The feature as every server loads it: what it does begins with `[robots.<name>]`, see `rn_standard.fleet.fleet`."""
+
+from __future__ import annotations
+
+from roboneuron import Feature
+
+
+class FleetFeature(Feature[None]):
+    """Adds nothing to the server of one robot."""

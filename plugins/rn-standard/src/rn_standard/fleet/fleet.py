@@ -1,0 +1,209 @@
+"""Several robots in one server process: an application for each, one MCP server in front of all.
+
+What belongs to a robot exists once for each: supervisor, gate, limits, leases, emergency stop, audit, incidents, all in
+a folder of its own. What belongs to the process exists once: the ROS node, the transport, SIGUSR1, the end.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
+from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
+from rn_standard.fleet.middleware import RobotMiddleware
+from rn_standard.fleet.resources import FleetResources, uri_of
+from rn_standard.fleet.tools import FleetTools
+from roboneuron import ConfigurationError, RoboNeuronError, UnsafeError
+from roboneuron.feature import (
+    ESTOP_FILE,
+    SIGNAL,
+    Application,
+    Command,
+    Config,
+    EmergencyStopLatch,
+    Events,
+    Features,
+    ModuleKind,
+    Periodic,
+    PluginCatalogue,
+    Supervisor,
+    Transport,
+    instructions_for,
+    make_log_directory,
+    make_server,
+    module_command,
+    press_on_signal,
+    press_together,
+    robot_folder,
+)
+
+log = logging.getLogger(__name__)
+NAMESPACE_FILE = "namespace"
+"""In a robot's folder: its ROS namespace, for `roboneuron status`, which has no configuration."""
+_LOOK_S = 0.02
+"""As often as modules look at the latches of their robots."""
+
+
+class Fleet:
+    """Everything `roboneuron serve` consists of for several robots, a `roboneuron.server.surface.Served`.
+
+    Args:
+        config: with `robots`.
+        state: the state directory; each robot has a folder in it.
+        plugins, command: others than usual, for tests.
+
+    Attributes:
+        robots: the application of each robot by its name.
+        events: `tools` and `resource` of all robots, and `client`.
+    """
+
+    def __init__(
+        self, config: Config, state: Path, *, plugins: PluginCatalogue | None = None, command: Command = module_command
+    ) -> None:
+        logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        self._state = state
+        self._connection = SharedConnection(logs)
+        self._latch = EmergencyStopLatch(state / ESTOP_FILE, time.time_ns)
+        self._was_latched = False
+        self._watch = Periodic("fleet-latch", _LOOK_S, self._look)
+        self._threads = ThreadPoolExecutor(max_workers=len(config.robots), thread_name_prefix="fleet")
+        self.robots: dict[str, Application] = {}
+        self.events = Events()
+        plugins = plugins or PluginCatalogue(config.disabled_plugins)
+        try:
+            for name, one in config.robots.items():
+                self.robots[name] = self._application(name, one, robot_folder(state, name), plugins, command)
+        except BaseException:
+            self.close()
+            raise
+        own = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
+        self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
+        self.resources = FleetResources(self.robots)
+        named = ", ".join(f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items())
+        tools = {name for robot in self.robots.values() for name in robot.tools.names()}
+        instructions = (
+            f"RoboNeuron operates {len(self.robots)} robots: {named}. Every tool takes `robot`, the one it is about; "
+            "list_fleet shows how they are; emergency_stop without `robot` stops all. "
+            f"{instructions_for(tools)}"
+        )
+        self.server = make_server(self, config.server.name, instructions)
+        self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
+        first = next(iter(self.robots.values()))
+        self._host = replace(first.host, server=self.server, events=self.events, check_resource=self.resources.check)
+        first.features.attach(self._host)
+
+    @property
+    def features(self) -> Features:
+        """Those of the first robot ask the person behind a client: that depends on no robot."""
+        return next(iter(self.robots.values())).features
+
+    def check(self) -> None:
+        """Check the configuration of each robot.
+
+        Raises:
+            ConfigurationError: names the robot.
+        """
+        for name, robot in self.robots.items():
+            try:
+                robot.check()
+            except RoboNeuronError as error:
+                raise ConfigurationError(f"[robots.{name}]: {error.message}", hint=error.hint) from error
+
+    def listen(self) -> Transport | None:
+        """Begin to listen for the clients of all robots; None for stdio."""
+        return self.features.listen(self._host)
+
+    def press_on_signal(self) -> None:
+        """From now on SIGUSR1 stops all robots; called on the main thread."""
+        press_on_signal(partial(self.latch, SIGNAL, ""))
+
+    def open(self) -> None:
+        """Begin to join the ROS graph; stop all robots whenever the latch of the whole state directory is pressed."""
+        self._note_namespaces()
+        wanted, given = participants_of(r.loop.config for r in self.robots.values()), os.environ.get(PARTICIPANTS, "")
+        os.environ[PARTICIPANTS] = str(max(wanted, int(given) if given.isdecimal() else 0))
+        for robot in self.robots.values():
+            robot.open()
+        self._look()
+        self._watch.start()
+
+    async def settle(self) -> None:
+        """See Application."""
+        for robot in self.robots.values():
+            await robot.settle()
+
+    def press(self, who: str, reason: str) -> None:
+        """Latch the emergency stop of all robots without waiting for anything; what fails is told by `latch`."""
+        press_together([robot.loop.emergency_stop.file for robot in self.robots.values()], who=who, reason=reason)
+
+    def latch(self, who: str, reason: str) -> tuple[list[str], float]:
+        """Stop all motion of all robots; returns which modules confirmed it, and after how many seconds.
+
+        Raises:
+            UnsafeError: some robot's modules did not confirm it, or its latch cannot be written; all others were
+                stopped nevertheless.
+        """
+        started_s = time.monotonic()
+        self.press(who, reason)
+
+        def latch_one(name: str) -> tuple[list[str], str]:
+            robot = self.robots[name]
+            try:
+                confirmed, _ = robot.loop.emergency_stop.latch(robot.loop.config.namespace, who=who, reason=reason)
+            except RoboNeuronError as error:
+                return [], f"{name}: {error}"
+            return [f"{name}/{kind}" for kind in confirmed], ""
+
+        done = list(self._threads.map(latch_one, self.robots))
+        failures = [failure for _, failure in done if failure]
+        if failures:
+            raise UnsafeError("\n".join(failures))
+        return [module for confirmed, _ in done for module in confirmed], time.monotonic() - started_s
+
+    def close(self) -> None:
+        """Stop all motion, modules and threads of all robots side by side; idempotent."""
+        self._watch.close()
+        with ThreadPoolExecutor(max_workers=max(1, len(self.robots)), thread_name_prefix="close") as closing:
+            for name, closed in [(name, closing.submit(robot.close)) for name, robot in self.robots.items()]:
+                try:
+                    closed.result()
+                except Exception:  # one robot that cannot be closed keeps no other
+                    log.exception("The robot %r could not be closed.", name)
+        self._threads.shutdown(wait=False)
+        self._connection.end()
+
+    def _application(
+        self, name: str, config: Config, folder: Path, plugins: PluginCatalogue, command: Command
+    ) -> Application:
+        def on_change(kind: ModuleKind) -> None:
+            if name in self.robots:
+                self.robots[name].events.change.tell(kind)
+
+        connect = self._connection.of_robot(config.namespace)
+        supervisor = Supervisor(folder, command=command, on_change=on_change, connect=connect)
+        made = Application(config, plugins=plugins, supervisor=supervisor, attached=False)
+        made.events.tools.listen(self.events.tools.tell)
+        made.events.resource.listen(lambda uri: self.events.resource.tell(uri_of(name, uri)))
+        self.events.client.listen(made.events.client.tell)
+        self.events.presence.listen(made.events.presence.tell)
+        return made
+
+    def _note_namespaces(self) -> None:
+        for name, robot in self.robots.items():
+            folder = robot_folder(self._state, name)
+            make_log_directory(folder)
+            (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
+
+    def _look(self) -> None:
+        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it is reset itself."""
+        is_latched = self._latch.is_latched()
+        if is_latched and not self._was_latched:
+            state = self._latch.read_state()
+            self.press(state.who or "the state directory", state.reason)
+        self._was_latched = is_latched

@@ -1,0 +1,109 @@
+"""The tools of the whole fleet: list_fleet, and emergency_stop of all robots."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
+from roboneuron.feature import VIEWER, EmergencyStopArguments, EmergencyStopResult, assess
+
+if TYPE_CHECKING:
+    from rn_standard.fleet.fleet import Fleet
+    from roboneuron.feature import Application
+
+
+class FleetRobot(Result):
+    """One robot."""
+
+    name: str = Field(description="for the argument `robot`")
+    robot: str = Field(description="its kind")
+    driver: str
+    namespace: str
+    emergency_stop: bool
+    modules: dict[str, str] = Field(description="health by module that is not stopped")
+
+
+class FleetList(Result):
+    """All robots of the server."""
+
+    robots: list[FleetRobot]
+
+
+class FleetStop(EmergencyStopArguments):
+    """Arguments of emergency_stop."""
+
+    robot: str | None = Field(default=None, description="Which robot; all of them when omitted or unknown.")
+
+
+def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[Any]:
+    """list_fleet."""
+
+    async def handler(_: NoArguments, context: CallContext) -> FleetList:
+        return await context.run(lambda _: FleetList(robots=[_told(name, robot) for name, robot in robots.items()]))
+
+    return Tool(
+        name="list_fleet",
+        title="The robots of this server",
+        description="The robots, for the argument `robot` of all other tools; whether their emergency stop is latched, "
+        "and the health of their modules.",
+        arguments=NoArguments,
+        result=FleetList,
+        handler=handler,
+        read_only=True,
+        idempotent=True,
+    )
+
+
+def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
+    """emergency_stop of all robots; a call that names one goes to that robot's own tool."""
+
+    def press(arguments: Mapping[str, Any], context: CallContext) -> None:
+        """Latch all before anything else: also when the arguments are wrong."""
+        fleet.press(context.who, str(arguments.get("reason") or ""))
+
+    async def latch(arguments: FleetStop, context: CallContext) -> EmergencyStopResult:
+        confirmed, took_s = await context.run(lambda _: fleet.latch(context.who, arguments.reason))
+        if arguments.robot is not None:
+            raise InvalidInputError(
+                f"There is no robot {arguments.robot[:80]!r}: all robots were stopped.",
+                hint=f"There are: {', '.join(fleet.robots)}.",
+                path="robot",
+            )
+        note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
+        return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+
+    return Tool(
+        name="emergency_stop",
+        title="Emergency stop",
+        description=(
+            "Stop all motion of all robots, or of one, now and keep it stopped until reset_emergency_stop of each, "
+            "across restarts of anything. Modules go on running. Returns when every running module has confirmed it; "
+            "an error names those that have not."
+        ),
+        arguments=FleetStop,
+        result=EmergencyStopResult,
+        handler=latch,
+        destructive=True,
+        idempotent=True,
+        open_world=True,
+        role=VIEWER,  # whoever sees a robot may stop it
+        always=True,
+        urgent=press,
+    )
+
+
+def _told(name: str, robot: Application) -> FleetRobot:
+    config = robot.loop.config
+    now_s = time.monotonic()
+    return FleetRobot(
+        name=name,
+        robot=config.robot.name,
+        driver=config.robot.driver,
+        namespace=config.namespace,
+        emergency_stop=robot.loop.emergency_stop.is_latched(),
+        modules={view.kind: assess(view, now_s) for view in robot.supervisor.views() if view.phase != "stopped"},
+    )

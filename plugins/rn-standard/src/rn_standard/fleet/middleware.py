@@ -1,0 +1,54 @@
+"""Middleware of one robot's server, applied to the calls of that robot: what its features count and show."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rn_standard.fleet.tools import FleetTools
+    from roboneuron.feature import Application
+
+CallNext = Callable[[Any], Awaitable[Any]]
+
+
+class RobotMiddleware:
+    """Middleware of the fleet's server (`mcp.server.context.ServerMiddleware`).
+
+    Each robot's features append to a server of their own, which no client reaches. What they have appended is applied
+    to a call that means their robot; they see it as in a server of one robot, without `robot`.
+
+    Args:
+        tools: tells which robot a call means.
+        robots: all of them, before their features have appended anything.
+    """
+
+    def __init__(self, tools: FleetTools, robots: Iterable[Application]) -> None:
+        self._tools = tools
+        self._given = {id(robot): len(robot.server.middleware) for robot in robots}
+
+    async def __call__(self, ctx: Any, call_next: CallNext) -> Any:
+        """Hand the request on, through the middleware of the robot that it means."""
+        params: Mapping[str, Any] = ctx.params or {} if ctx.method == "tools/call" else {}
+        arguments = params.get("arguments") or {}
+        robot, name = None, str(params.get("name"))
+        if params and isinstance(arguments, Mapping):
+            name, arguments = self._tools.meant_call(name, arguments)
+            robot = self._tools.meant_robot(name, arguments)
+        if robot is None:
+            return await call_next(ctx)
+
+        async def as_sent(_: Any) -> Any:
+            return await call_next(ctx)
+
+        chain: CallNext = as_sent
+        for middleware in reversed(robot.server.middleware[self._given[id(robot)] :]):
+            chain = partial(_through, middleware, chain)
+        own = {key: value for key, value in arguments.items() if key != "robot"}
+        return await chain(replace(ctx, params={**params, "name": name, "arguments": own}))
+
+
+async def _through(middleware: Any, call_next: CallNext, ctx: Any) -> Any:
+    return await middleware(ctx, call_next)

@@ -1,0 +1,158 @@
+"""The tools of all robots under one list: a call names the robot, and goes to that robot's own registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mcp import types
+
+from rn_standard.fleet.schemas import merged_tool
+from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
+from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool
+from roboneuron.feature import ADMIN, Stage, ToolRegistry, failure, nearest, parse
+
+if TYPE_CHECKING:
+    from roboneuron.feature import Application
+
+T = TypeVar("T")
+
+
+class RobotContext:
+    """CallContext of a call to one of several robots: a person who is asked is told which.
+
+    Args:
+        context: of the request.
+        robot: the robot's name.
+    """
+
+    def __init__(self, context: CallContext, robot: str) -> None:
+        self._context = context
+        self._robot = robot
+        self.who = context.who
+        self.role = context.role
+
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        """See CallContext."""
+        return await self._context.run(work, on_cancel=on_cancel, on_leave=on_leave)
+
+    async def ask(self, question: str) -> bool | None:
+        """See CallContext."""
+        return await self._context.ask(f"Robot {self._robot}: {question}")
+
+    async def ask_for(self, question: str, what: str) -> str | None:
+        """See CallContext."""
+        return await self._context.ask_for(f"Robot {self._robot}: {question}", what)
+
+
+def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, Any]]:
+    """Name and arguments of the call that a call of call_robot_tool stands for."""
+    return call.tool, {**call.arguments, "robot": call.robot}
+
+
+class FleetTools(ToolRegistry):
+    """Lists the tools of all robots, and hands each call on.
+
+    Args:
+        robots: by name.
+        own: tools of the whole fleet. One of a robot's name is called when no robot of the fleet is named.
+        on_client: told of the client of each call.
+    """
+
+    def __init__(
+        self, robots: Mapping[str, Application], own: list[Tool[Any]], on_client: Callable[[str], object]
+    ) -> None:
+        super().__init__([*own, *(search_tools(self._seldom) if len(robots) > 1 else ())])
+        self._robots = robots
+        self._on_client = on_client
+
+    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+        """What `tools/list` answers to clients of a role; of several robots without what is seldom needed."""
+        shared = self._shared(role)
+        return [*super().listing(role), *(tool for tool in shared if not self._is_seldom(tool.name))]
+
+    def _seldom(self, role: str) -> list[types.Tool]:
+        return [tool for tool in self._shared(role) if self._is_seldom(tool.name)]
+
+    def _is_seldom(self, name: str) -> bool:
+        tools = [tool for robot in self._robots.values() if (tool := robot.tools.get(name)) is not None]
+        return len(self._robots) > 1 and all(tool.seldom for tool in tools)
+
+    def _shared(self, role: str) -> list[types.Tool]:
+        """The tools of all robots, each once."""
+        by_name: dict[str, dict[str, types.Tool]] = {}
+        for name, robot in self._robots.items():
+            for tool in robot.tools.listing(role):
+                by_name.setdefault(tool.name, {})[name] = tool
+        namespaces = {name: robot.loop.config.namespace for name, robot in self._robots.items()}
+        return [
+            merged_tool(shown, namespaces, required=len(self._robots) > 1)
+            for name, shown in by_name.items()
+            if self.get(name) is None
+        ]
+
+    async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
+        """Have the named robot do it; every failure is an MCP error result."""
+        if name == CALL and self.get(CALL) is not None:
+            try:
+                name, arguments = unwrapped(parse(CallRobotTool, arguments))
+            except RoboNeuronError as error:
+                return failure(error)
+        robot = arguments.get("robot")
+        is_known = isinstance(robot, str) and robot in self._robots
+        if self.get(name) is not None and not is_known:
+            try:
+                return await super().call(name, arguments, context)
+            finally:  # a stop comes before leases
+                self._on_client(context.who)
+        self._on_client(context.who)
+        try:
+            chosen = self._choose(name, robot)
+        except RoboNeuronError as error:
+            return failure(error)
+        rest = {key: value for key, value in arguments.items() if key != "robot"}
+        return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
+
+    def meant_call(self, name: str, arguments: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+        """The call that a client makes, also when it makes it with call_robot_tool."""
+        try:
+            return unwrapped(parse(CallRobotTool, arguments)) if name == CALL else (name, arguments)
+        except RoboNeuronError:
+            return name, arguments
+
+    def meant_robot(self, tool: str, arguments: Mapping[str, Any]) -> Application | None:
+        """The robot whose tool a call means; None for a call of the whole fleet, and for one that will be refused."""
+        robot = arguments.get("robot")
+        if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):
+            return None
+        try:
+            return self._robots[self._choose(tool, robot)]
+        except RoboNeuronError:
+            return None
+
+    def _choose(self, tool: str, robot: object) -> str:
+        """The robot that a call means.
+
+        Raises:
+            InvalidInputError: no robot has the tool, or none or another one is named; lists the choices.
+        """
+        having = [name for name, one in self._robots.items() if one.tools.get(tool) is not None]
+        if not having:
+            raise InvalidInputError(f"There is no tool {tool[:80]!r}.", hint="See tools/list.", path="tool")
+        choices = f"Choose one of: {', '.join(having)}."
+        if robot is None:
+            if len(self._robots) > 1:
+                raise InvalidInputError(f"{tool} needs `robot`, which robot is meant.", hint=choices, path="robot")
+            return having[0]
+        if not isinstance(robot, str) or robot not in self._robots:
+            meant = nearest(str(robot)[:80], having, choices)
+            raise InvalidInputError(f"There is no robot {str(robot)[:80]!r}.", hint=meant, path="robot")
+        if robot not in having:
+            raise InvalidInputError(f"The robot {robot!r} has no tool {tool}.", hint=choices, path="robot")
+        return robot

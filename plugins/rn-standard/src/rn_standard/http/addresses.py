@@ -1,0 +1,56 @@
+"""The address that a section names: this machine's, kept to this machine unless tokens guard it, and free."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+
+from rn_standard.http.tokens import TokenTable
+from roboneuron import ConfigurationError
+
+
+def check_address(section: str, host: str, port: int, tokens: TokenTable) -> tuple[int, int, int, tuple[object, ...]]:
+    """Check that the address may be listened on, whether or not somebody does so already.
+
+    Args:
+        section: of roboneuron.toml that holds `host` and `port`, for the messages.
+        tokens: who may connect; without any, only this machine may.
+
+    Returns:
+        Family, kind, protocol and address, as `socket.socket` and its `bind` take them.
+
+    Raises:
+        ConfigurationError: it is no address, or it is not loopback and there are no tokens.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise ConfigurationError(f"[{section}] host = {host!r} is no address of this machine: {error}.") from error
+    family, kind, protocol, _, address = found[0]
+    if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
+        raise ConfigurationError(
+            f"[{section}] host = {host!r} can be reached from other machines, and there is no token: anybody could "
+            "move the robot.",
+            hint="Add [[http.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
+        )
+    return family, kind, protocol, address
+
+
+def bind(section: str, host: str, port: int, tokens: TokenTable) -> socket.socket:
+    """A TCP socket bound to the address, not listening yet; arguments as for `check_address`.
+
+    Raises:
+        ConfigurationError: as `check_address`; or it cannot be bound.
+    """
+    family, kind, protocol, address = check_address(section, host, port, tokens)
+    bound = socket.socket(family, kind, protocol)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(address)
+    except OSError as error:
+        bound.close()
+        raise ConfigurationError(
+            f"Port {port} of {host} cannot be used: {error.strerror}.",
+            hint=f"Does another one run? Choose another port, in [{section}] or with --port.",
+        ) from error
+    return bound

@@ -1,0 +1,148 @@
+"""Connections of the HTTP server: bounded time for a request to arrive, and shares for each holder.
+
+A connection is unproven until a request with a right came on it. See `BoundedListener` for those.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from typing import Any
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from rn_standard.http.listener import BoundedListener, handle_limit, network_of
+
+log = logging.getLogger(__name__)
+PROTOCOL_KEY = "roboneuron.transport"
+"""Where the ASGI scope's `state` has the BoundedProtocol of a request."""
+HEADERS_S = 5.0
+"""From the first byte of a request (of a connection: from its beginning) to the end of its headers."""
+BODY_S = 30.0
+MOST, MOST_OF_ONE = 512, 128
+"""Proven connections: of all holders, and of each; no more than a quarter and an eighth of the process' handles."""
+RESERVED = 8
+"""So many each holder may have though all others together have the most."""
+
+
+class ConnectionTable:
+    """All connections of a server; used on its event loop only."""
+
+    def __init__(self) -> None:
+        self._proven: dict[BoundedProtocol, str] = {}
+        self._counts: Counter[str] = Counter()
+        self._limit = handle_limit()
+        self.listeners: list[BoundedListener] = []
+        """Told which connections are proven."""
+
+    def remove(self, connection: BoundedProtocol) -> None:
+        """It is gone; nothing happens when that is known."""
+        who = self._proven.pop(connection, None)
+        if who is not None:
+            self._counts[who] -= 1
+            if not self._counts[who]:
+                del self._counts[who]
+
+    def keep(self, connection: BoundedProtocol) -> None:
+        """It needs not give way to connections that are unproven."""
+        for listener in self.listeners:
+            if connection.client is not None:
+                listener.prove(connection.client)
+
+    def prove(self, connection: BoundedProtocol, who: str, *, is_stop: bool = False) -> bool:
+        """Whether a request of `who` is served: it came on a connection that is, or is now, one of its share.
+
+        Args:
+            connection: where it came from.
+            who: its holder.
+            is_stop: serve it however many there are.
+        """
+        if self._proven.get(connection) != who:
+            if self._is_full(who) and not self._drop_idle(who, connection) and not is_stop:
+                return False
+            self.remove(connection)
+            self._counts[who] += 1
+        self._proven.pop(connection, None)
+        self._proven[connection] = who  # the last used is the last to go
+        self.keep(connection)
+        return True
+
+    def _is_full(self, who: str) -> bool:
+        count = self._counts[who]
+        most, most_of_one = min(MOST, self._limit // 4), min(MOST_OF_ONE, self._limit // 8)
+        return count >= most_of_one or (len(self._proven) >= most and count >= RESERVED)
+
+    def _drop_idle(self, who: str, keep: BoundedProtocol) -> bool:
+        for other, holder in self._proven.items():
+            if holder == who and other is not keep and other.is_idle:
+                self.remove(other)
+                other.drop("a newer one of its holder needs its place")
+                return True
+        return False
+
+
+class BoundedProtocol(H11Protocol):
+    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not arrive in time."""
+
+    def __init__(self, table: ConnectionTable, **arguments: Any) -> None:
+        super().__init__(**arguments)
+        self.app_state = {**self.app_state, PROTOCOL_KEY: self}
+        self.table = table
+        self.address = ""
+        self.peer: str | None = None
+        """Its client's process, once that was asked."""
+        self._timer: asyncio.TimerHandle | None = None
+        self._waits_for: Any = None
+
+    @property
+    def is_idle(self) -> bool:
+        """No request is being answered."""
+        return self.cycle is None or self.cycle.response_complete
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """See asyncio."""
+        super().connection_made(transport)
+        self.address = network_of(self.client[0] if self.client else "")
+        self._wait_for(h11.IDLE)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """See asyncio."""
+        self._wait_for(None)
+        self.table.remove(self)
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """See asyncio."""
+        super().data_received(data)
+        self._look()
+
+    def on_response_complete(self) -> None:
+        """See uvicorn, which closes an idle connection after five seconds."""
+        super().on_response_complete()
+        self._wait_for(None)
+        self._look()
+
+    def drop(self, why: str) -> None:
+        """Close it at once."""
+        if not self.transport.is_closing():
+            log.debug("A connection from %s is closed: %s.", self.address, why)
+            self.transport.abort()
+
+    def _look(self) -> None:
+        state = self.conn.their_state
+        has_begun = state is h11.SEND_BODY or (state is h11.IDLE and bool(self.conn.trailing_data[0]))
+        self._wait_for(state if has_begun else None)
+
+    def _wait_for(self, state: Any) -> None:
+        """Begin to wait for the end of headers or body; goes on waiting where it does already."""
+        if state is self._waits_for:
+            return
+        self._waits_for = state
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if state is not None:
+            limit_s = HEADERS_S if state is h11.IDLE else BODY_S
+            self._timer = self.loop.call_later(limit_s, self.drop, f"no whole request within {limit_s:g} s")

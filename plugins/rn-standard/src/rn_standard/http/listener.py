@@ -1,0 +1,304 @@
+"""A listening socket that keeps what says nothing away from the server behind it, whose handles it leaves free.
+
+A server of asyncio takes each connection at once, with a protocol and a handle for it, and writes a traceback for each
+one that finds no handle. This socket hands a connection over when its first bytes are there. Silent ones cost little,
+the oldest gives way to the newest, and some handles of the process are never used for any of them.
+
+It serves every server that takes a socket: asyncio, uvicorn, websockets. Their own bounds (`limit_concurrency`,
+`open_timeout`) hold after a connection was taken, and refuse a stop like everything else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import ipaddress
+import logging
+import os
+import resource
+import select
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+log = logging.getLogger(__name__)
+SILENT_S = 5.0
+"""A connection that has said nothing for so long is closed."""
+_PEEK_BYTES = 4096
+_MOST_AT_ONCE = 32
+"""New connections in one turn of the event loop, about 1 ms: calls are served between two turns."""
+BACKLOG = 2048
+"""Connections that wait in the kernel; when it is full, a new client tries again after a second only."""
+_WINDOW_S = 1.0
+_LOG_S = 60.0
+_NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_MOST_HANDLES = 65536
+"""Where the limit of handles is higher, or there is none."""
+Peer = tuple[str, int]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Bounds:
+    """How many connections a port has.
+
+    Attributes:
+        silent: that have said nothing yet.
+        unproven: that have said something, and were not proven.
+        unproven_of_one: the same, from one address.
+        new: of unknown ones in a second from one address; twice as many from all.
+        handle: from this number of a new handle on, the oldest silent connection goes, or else the new one.
+        handle_known: from this number on, known connections are refused, too.
+    """
+
+    silent: int
+    unproven: int
+    unproven_of_one: int
+    new: int
+    handle: int
+    handle_known: int
+
+
+def stop_bounds(limit: int | None = None) -> Bounds:
+    """Bounds of the port on which stops come: an eighth of the handles stays free, half of it for the known.
+
+    Args:
+        limit: handles of the process; RLIMIT_NOFILE by default.
+    """
+    limit = handle_limit() if limit is None else limit
+    quarter = min(1024, limit // 4)
+    return Bounds(
+        silent=quarter, unproven=min(256, quarter), unproven_of_one=min(192, quarter), new=500,
+        handle=limit - limit // 8, handle_known=limit - limit // 16,
+    )  # fmt: skip
+
+
+def other_bounds(most: int, limit: int | None = None) -> Bounds:
+    """Bounds of any other port: it uses no handle of the upper half, however many it has.
+
+    Args:
+        most: silent ones, and unproven ones.
+        limit: as in `stop_bounds`.
+    """
+    limit = handle_limit() if limit is None else limit
+    most = min(most, limit // 8)
+    return Bounds(silent=most, unproven=most, unproven_of_one=most, new=250, handle=limit // 2, handle_known=limit // 2)
+
+
+def handle_limit() -> int:
+    """Handles that this process may have open at once."""
+    return min(resource.getrlimit(resource.RLIMIT_NOFILE)[0] % (1 << 63), _MOST_HANDLES)
+
+
+class BoundedListener(socket.socket):
+    """Give it to an asyncio server in place of the socket; used on its event loop only.
+
+    The lowest free number is a new handle's, so the number tells how many are open in the whole process, whoever has
+    them. Source: POSIX, "File Descriptor Allocation".
+
+    Args:
+        bound: a bound TCP socket; this one takes it over.
+        bounds: how many connections.
+        is_known: whether the first bytes of a connection show a right, such as a token. Known ones are not counted.
+    """
+
+    def __init__(
+        self, bound: socket.socket, bounds: Bounds, is_known: Callable[[bytes], bool] = lambda first: False
+    ) -> None:
+        super().__init__(fileno=bound.detach())
+        self.setblocking(False)
+        self._bounds = bounds
+        self._is_known = is_known
+        self._own = super().fileno()
+        self._poll = select.epoll()
+        self._poll.register(self._own, select.EPOLLIN)
+        self._spare = _open_spare()
+        self._silent: dict[int, tuple[socket.socket, Any, float]] = {}
+        self._unproven: dict[Peer, tuple[socket.socket, str]] = {}
+        self._ready: deque[tuple[socket.socket, Any]] = deque()
+        self._has_looked = False
+        self._new: Counter[str] = Counter()
+        self._window_s = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+        self._told_s = -_LOG_S
+
+    def fileno(self) -> int:
+        """Readable when `accept` has something to do: at the listening socket, or at a silent connection."""
+        return -1 if self._poll.closed else self._poll.fileno()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """A connection whose first bytes are there. Raises BlockingIOError when none is left in this turn."""
+        if not self._ready and not self._has_looked:
+            self._has_looked = True
+            self._look()
+        if self._ready:
+            return self._ready.popleft()
+        self._has_looked = False
+        raise BlockingIOError
+
+    def close(self) -> None:
+        """Close it with what has not been handed over; idempotent."""
+        if self._poll.closed:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        for connection, _, _ in self._silent.values():
+            connection.close()
+        for connection, _ in self._ready:
+            connection.close()
+        self._silent.clear()
+        self._ready.clear()
+        self._poll.close()
+        self._close_spare()
+        super().close()
+
+    def prove(self, peer: Peer) -> None:
+        """The connection from there has a right to be: it does not have to give way here any more."""
+        self._unproven.pop(peer, None)
+
+    def _look(self) -> None:
+        for handle, _ in self._poll.poll(0, 2 * _MOST_AT_ONCE):
+            if handle == self._own:
+                self._take_new()
+            elif handle in self._silent:
+                connection, address, _ = self._silent.pop(handle)
+                self._poll.unregister(handle)
+                self._hear(connection, address)
+
+    def _take_new(self) -> None:
+        for _ in range(_MOST_AT_ONCE):
+            try:
+                connection, address = super().accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                if error.errno not in _NO_HANDLES:
+                    raise
+                self._do_without(error)
+                return
+            connection.setblocking(False)
+            self._hear(connection, address)
+
+    def _hear(self, connection: socket.socket, address: Any) -> None:
+        """Hand over a connection that says something, keep one that does not, close one that is gone."""
+        try:
+            first = connection.recv(_PEEK_BYTES, socket.MSG_PEEK)
+        except BlockingIOError:
+            self._keep(connection, address)
+            return
+        except OSError:
+            first = b""
+        if first and self._admits(connection, address, first):
+            self._ready.append((connection, address))
+        else:
+            connection.close()
+
+    def _keep(self, connection: socket.socket, address: Any) -> None:
+        handle = connection.fileno()
+        is_full = len(self._silent) >= self._bounds.silent or handle >= self._bounds.handle
+        if is_full and not self._drop_silent():
+            connection.close()
+            return
+        self._silent[handle] = connection, address, time.monotonic()
+        self._poll.register(handle, select.EPOLLIN)
+        if self._timer is None:
+            self._timer = asyncio.get_running_loop().call_later(SILENT_S, self._expire)
+
+    def _admits(self, connection: socket.socket, address: Any, first: bytes) -> bool:
+        bounds, source = self._bounds, network_of(address[0])
+        if self._is_known(first):
+            if connection.fileno() >= bounds.handle:
+                self._drop_silent()
+            return connection.fileno() < bounds.handle_known
+        now_s = time.monotonic()
+        if now_s - self._window_s >= _WINDOW_S:
+            self._window_s = now_s
+            self._new.clear()
+        self._new[source] += 1
+        if self._new[source] > bounds.new or self._new.total() > 2 * bounds.new:
+            return False
+        if connection.fileno() >= bounds.handle and not self._drop_silent():
+            return False
+        self._drop_unproven(source)
+        self._unproven[address[:2]] = connection, source
+        return True
+
+    def _drop_silent(self) -> bool:
+        """Close the oldest silent connection; whether there was one."""
+        for handle, (connection, _, _) in self._silent.items():
+            del self._silent[handle]
+            connection.close()  # epoll forgets it by that
+            return True
+        return False
+
+    def _drop_unproven(self, source: str) -> None:
+        """Have the oldest unproven connection closed if there is one too many: of `source`, or of the busiest address.
+
+        Whoever took it over notices the end of the stream, and closes it.
+        """
+        counts = Counter(other for _, other in self._unproven.values())
+        is_full = counts.total() >= self._bounds.unproven
+        if not is_full and counts[source] < self._bounds.unproven_of_one:
+            return
+        self._unproven = {peer: held for peer, held in self._unproven.items() if held[0].fileno() >= 0}
+        counts = Counter(other for _, other in self._unproven.values())
+        if counts[source] < self._bounds.unproven_of_one:
+            if counts.total() < self._bounds.unproven:
+                return
+            source = counts.most_common(1)[0][0]
+        peer = next(peer for peer, (_, other) in self._unproven.items() if other == source)
+        connection, _ = self._unproven.pop(peer)
+        with suppress(OSError):  # it has gone by itself
+            connection.shutdown(socket.SHUT_RDWR)
+
+    def _do_without(self, error: OSError) -> None:
+        """No handle is left: make room for the next one, and take this one from the queue, which would stay full."""
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _LOG_S:
+            self._told_s = now_s
+            log.error(
+                "A connection is refused, and others for up to %g s without a word: %s. Who has so many files open?",
+                _LOG_S, error.strerror,
+            )  # fmt: skip
+        if self._drop_silent():
+            return
+        self._close_spare()
+        with suppress(OSError):  # somebody else has taken the handle, or the connection has gone
+            super().accept()[0].close()
+        with suppress(OSError):
+            self._spare = _open_spare()
+
+    def _close_spare(self) -> None:
+        if self._spare >= 0:
+            os.close(self._spare)
+        self._spare = -1
+
+    def _expire(self) -> None:
+        self._timer = None
+        now_s = time.monotonic()
+        while self._silent:
+            begun_s = next(iter(self._silent.values()))[2]
+            if now_s - begun_s < SILENT_S:
+                wait_s = begun_s + SILENT_S - now_s
+                self._timer = asyncio.get_running_loop().call_later(wait_s, self._expire)
+                return
+            self._drop_silent()
+
+
+def _open_spare() -> int:
+    """A handle that is given up when there is no other: a connection can be taken and refused with it."""
+    return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+
+
+def network_of(address: str) -> str:
+    """The address; of IPv6 the /64 network, of which one machine may have every address."""
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if found.version == 4 or found.is_loopback:
+        return str(found)
+    return str(ipaddress.ip_network((found, 64), strict=False))

@@ -1,0 +1,181 @@
+"""Access middleware: checks hosts, origins, tokens and the share of connections of each client."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+
+from anyio import to_thread
+from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
+from mcp.server.auth.provider import AccessToken
+from pydantic_core import from_json
+from starlette.datastructures import Headers
+from starlette.middleware.cors import CORSMiddleware
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rn_standard.http.connection_loss import Connection
+from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
+from rn_standard.http.local_clients import account_of, local_client
+from rn_standard.http.origins import HostRules
+from rn_standard.http.peers import peer_process
+from rn_standard.http.sessions import SESSION_HEADER
+from rn_standard.http.tokens import TokenTable
+from roboneuron.feature import BUSY, HOLDER_KEY, Holder, is_urgent
+
+log = logging.getLogger(__name__)
+_MOST_STOP_BYTES = 65536
+_CLOSE = {"Connection": "close"}
+"""Who was refused keeps no connection."""
+
+
+class AccessMiddleware:
+    """ASGI application around another: checks Host and Origin, then the token, and notes the Holder in the scope.
+
+    Without tokens everybody who gets here is a local process with every role, told apart by its session or, where the
+    protocol has none, by its process; `server.listen` sees to it that this is so on loopback only. Whoever has a
+    request or a stream open is `present`.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        rules: HostRules,
+        tokens: TokenTable,
+        connections: ConnectionTable | None = None,
+        present: Callable[[str], AbstractContextManager[None]] = lambda who: nullcontext(),
+    ) -> None:
+        self._app = app
+        self._rules = rules
+        self._tokens = tokens
+        self._connections = connections or ConnectionTable()
+        self._present = present
+        self._for_pages = _Pages(self._admit, rules)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        origins = headers.getlist("origin")
+        if not self._rules.allows_host(headers.getlist("host")):
+            log.warning("Refused a request for the host %r.", headers.get("host", "")[:100])
+            await Response("Invalid Host header", status_code=421, headers=_CLOSE)(scope, receive, send)
+        elif origins and not (len(origins) == 1 and self._rules.allows_origin(origins[0])):
+            log.warning("Refused a request of a page of %r.", origins[0][:100])
+            await Response("Invalid Origin header", status_code=403, headers=_CLOSE)(scope, receive, send)
+        else:
+            await self._for_pages(scope, receive, send)
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        transport = scope.get("state", {}).get(PROTOCOL_KEY)
+        if isinstance(transport, BoundedProtocol) and not self._tokens:
+            self._connections.keep(transport)  # before its process is looked up, which takes milliseconds
+        holder = await self._holder(headers, scope, transport)
+        if holder is None:
+            log.warning("Refused a request without a valid token.")
+            await _unauthorized()(scope, receive, send)
+            return
+        if isinstance(transport, BoundedProtocol) and not self._connections.prove(transport, account_of(holder)):
+            is_stop, receive = await _look_for_stop(receive)
+            if not is_stop:
+                log.warning("Refused a request of %r: it has too many connections.", account_of(holder))
+                await _too_many(holder)(scope, receive, send)
+                return
+            self._connections.prove(transport, account_of(holder), is_stop=True)
+        # The SDK binds a session to this user: a session of one token cannot be used with another.
+        user = AuthenticatedUser(AccessToken(token="", client_id=account_of(holder), scopes=[holder.role]))
+        connection = Connection(receive)
+        inner = {**scope, HOLDER_KEY: replace(holder, watched=connection.watched), "user": user}
+        with self._present(holder.who):
+            await self._app(inner, connection.receive, send)
+
+    async def _holder(self, headers: Headers, scope: Scope, transport: object) -> Holder | None:
+        if not self._tokens:
+            session = headers.get(SESSION_HEADER)
+            if session is not None:
+                return local_client(session_name(session))
+            return local_client(await _process_of(scope, transport))
+        found = headers.getlist("authorization")
+        if len(found) != 1:
+            return None
+        scheme, _, token = found[0].partition(" ")
+        return self._tokens.find(token.strip()) if scheme.lower() == "bearer" else None
+
+
+class _Pages(CORSMiddleware):
+    """Answers preflights and adds the headers by which a browser lets an allowed page read the answer."""
+
+    def __init__(self, app: ASGIApp, rules: HostRules) -> None:
+        super().__init__(
+            app,
+            allow_origins=["null"],  # any entry but "*": which ones is asked below
+            allow_methods=["GET", "POST", "DELETE"],
+            allow_headers=["*"],  # what the preflight asks for: Authorization, Mcp-* and others
+            expose_headers=["Mcp-Session-Id", "WWW-Authenticate"],
+            allow_private_network=True,
+        )
+        self._rules = rules
+
+    def is_allowed_origin(self, origin: str) -> bool:
+        """See CORSMiddleware."""
+        return self._rules.allows_origin(origin)
+
+
+def session_name(session: str) -> str:
+    """What a client without a token is called after its session."""
+    return f"session {''.join(c for c in session[:8] if c.isalnum())}"
+
+
+async def _process_of(scope: Scope, transport: object) -> str:
+    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not known."""
+    client = scope.get("client")
+    if not isinstance(transport, BoundedProtocol) or client is None:
+        return ""
+    if transport.peer is None:
+        pid = await to_thread.run_sync(peer_process, int(client[1]), int(scope["server"][1]))
+        transport.peer = f"pid {pid}" if pid else ""
+    return transport.peer
+
+
+async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
+    """Whether the body is an emergency stop, and the channel with the body still to come."""
+    messages: list[Message] = []
+    body = b""
+    while True:
+        message = await receive()
+        messages.append(message)
+        body += message.get("body", b"")
+        if not message.get("more_body", False) or len(body) > _MOST_STOP_BYTES:
+            break
+    messages.reverse()
+
+    async def replay() -> Message:
+        return messages.pop() if messages else await receive()
+
+    try:
+        raw = from_json(body)
+    except ValueError:
+        return False, replay
+    return isinstance(raw, dict) and is_urgent(raw.get("method"), raw.get("params")), replay
+
+
+def _too_many(holder: Holder) -> JSONResponse:
+    text = f"{account_of(holder)!r} has too many connections; emergency_stop is still taken."
+    return JSONResponse(
+        {"jsonrpc": "2.0", "id": None, "error": {"code": BUSY, "message": text}},
+        status_code=503,
+        headers=_CLOSE,
+    )
+
+
+def _unauthorized() -> JSONResponse:
+    text = "A valid bearer token is needed: send the header `Authorization: Bearer <token>`."
+    return JSONResponse(
+        {"jsonrpc": "2.0", "id": None, "error": {"code": -32001, "message": text}},
+        status_code=401,
+        headers={"WWW-Authenticate": 'Bearer realm="roboneuron"', **_CLOSE},
+    )

@@ -1,0 +1,210 @@
+"""Admission of one operator at a time and, under a lease, only while it is there."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import Field
+
+from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
+from roboneuron.feature import OPERATOR, AuditLog, AuditRecord, Periodic
+
+log = logging.getLogger(__name__)
+_LOOK_S = 0.05
+TAKE_OVER, HEARTBEAT = "take_over", "heartbeat"
+
+
+class OperatorResult(Result):
+    """Who operates the robot now."""
+
+    operator: str = Field(description="the client that may call what acts")
+    before: str = Field(default="", description="who did before; empty when nobody else")
+    lease_s: float | None = Field(default=None, description="motion ends when the operator is silent for this long")
+
+
+class OperatorLease:
+    """Admits calls. The first client that calls what acts is the operator until another takes over.
+
+    With a lease, every call of the operator renews it, and so does what it holds open (`present`); when it lapses,
+    `on_lapse` is called once, on a thread of its own, and anybody may become the operator. Methods may be called from
+    any thread.
+
+    Args:
+        lease_s: longest silence of the operator; None: no lease.
+        audit: gets a record of each take-over and lapse.
+        on_lapse: ends all motion; told why.
+        clock: monotonic time [s].
+        has_left: whether a client is gone for good, so that nobody has to take over from it.
+        by_streams: whether `present` renews.
+    """
+
+    def __init__(
+        self,
+        lease_s: float | None,
+        audit: AuditLog,
+        on_lapse: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        has_left: Callable[[str], bool] = lambda who: False,
+        by_streams: bool = True,
+    ) -> None:
+        self._lease_s = lease_s
+        self._audit = audit
+        self._on_lapse = on_lapse
+        self._clock = clock
+        self._has_left = has_left
+        self._by_streams = by_streams
+        self._open: Counter[str] = Counter()
+        self._is_vacant = False
+        self._lock = threading.Lock()
+        self._operator = ""
+        self._renewed_s = 0.0
+        self._thread = Periodic("lease", _LOOK_S, self.look)
+
+    def admit(self, tool: Tool[Any], context: CallContext) -> None:
+        """Let a call through, or not. What reads and what stops is for everybody.
+
+        Raises:
+            RefusedError: somebody else operates the robot.
+        """
+        acts = not tool.read_only and not tool.always and tool.name not in (TAKE_OVER, HEARTBEAT)
+        with self._lock:
+            if acts and context.who != self._operator and self._is_free():
+                self._operator = context.who
+            if context.who == self._operator:
+                self._renew()
+            elif acts:
+                raise RefusedError(
+                    f"{self._operator!r} operates the robot, {context.who!r} may look on and stop it.",
+                    hint=f"Call {TAKE_OVER} if that is agreed.",
+                )
+
+    def take_over(self, who: str, role: str) -> str:
+        """Make `who` the operator; returns who was. Motion goes on, what was started stays.
+
+        Raises:
+            RefusedError: the audit cannot be written.
+        """
+        with self._lock:
+            before = "" if self._is_vacant else self._operator
+            if before != who:
+                reason = f"took over from {before}" if before else "nobody operated"
+                self._audit.write(AuditRecord(who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason))
+                log.warning("%s operates the robot now; %s.", who, reason)
+            self._operator = who
+            self._renew()
+            return before if before != who else ""
+
+    def note_client(self, who: str, is_here: bool) -> None:
+        """A client has made a call, of whatever robot, or has left."""
+        if not is_here:
+            self.release(who)
+            return
+        with self._lock:
+            if who == self._operator:
+                self._renewed_s = self._clock()
+
+    def release(self, who: str) -> None:
+        """A client has left; if it was the operator, the next one that acts is. A lease goes on until it lapses."""
+        with self._lock:
+            if who == self._operator:
+                self._is_vacant = True
+
+    @contextmanager
+    def present(self, who: str) -> Iterator[None]:
+        """A client has a request, a stream or a page open within the block: it is not silent."""
+        self.note_presence(who, 1)
+        try:
+            yield
+        finally:
+            self.note_presence(who, -1)
+
+    def note_presence(self, who: str, change: int) -> None:
+        """A client has opened (1) or closed (-1) something."""
+        if not self._by_streams:
+            return
+        with self._lock:
+            self._open[who] += change
+            if self._open[who] <= 0:
+                del self._open[who]
+            if who == self._operator:
+                self._renewed_s = self._clock()
+
+    def _is_free(self) -> bool:
+        return not self._operator or self._is_vacant or self._has_left(self._operator)
+
+    def _renew(self) -> None:
+        self._renewed_s = self._clock()
+        self._is_vacant = False
+
+    def look(self) -> None:
+        """End motion when the lease has lapsed."""
+        with self._lock:
+            if not self._operator or self._lease_s is None or self._open[self._operator]:
+                return
+            silent_s = self._clock() - self._renewed_s
+            if silent_s <= self._lease_s:
+                return
+            who, self._operator = self._operator, ""
+        reason = f"The lease of {who!r} has lapsed: silent for {silent_s:.2f} s, {self._lease_s:g} s are allowed."
+        log.error("%s", reason)
+        try:
+            self._on_lapse(reason)
+        finally:
+            record = AuditRecord(who=who, role="", tool="lease", verdict="lapsed", reason=reason)
+            try:
+                self._audit.write(record)
+            except RefusedError as error:  # motion has ended; a missing record changes nothing about that
+                log.error("The lapse is not in the audit: %s", error)
+
+    def start(self) -> None:
+        """Watch the lease, if there is one."""
+        if self._lease_s is not None:
+            self._thread.start()
+
+    def close(self) -> None:
+        """Stop watching; idempotent."""
+        self._thread.close()
+
+    def tools(self) -> list[Tool[Any]]:
+        """take_over and heartbeat."""
+
+        async def take_over(_: NoArguments, context: CallContext) -> OperatorResult:
+            before = self.take_over(context.who, context.role)
+            return OperatorResult(operator=context.who, before=before, lease_s=self._lease_s)
+
+        async def heartbeat(_: NoArguments, context: CallContext) -> OperatorResult:
+            return OperatorResult(operator=self._operator, lease_s=self._lease_s)
+
+        return [
+            Tool(
+                name=TAKE_OVER,
+                title="Operate the robot",
+                description=(
+                    "Become the operator: the one client that may call what acts; everybody may look on and stop. The "
+                    "first client that acts is the operator by itself. What runs goes on."
+                ),
+                arguments=NoArguments,
+                result=OperatorResult,
+                handler=take_over,
+                idempotent=True,
+                role=OPERATOR,
+            ),
+            Tool(
+                name=HEARTBEAT,
+                title="Renew the lease",
+                description=(
+                    "Say that you are alive. Every call of the operator does; an operator silent for longer than "
+                    "[http] lease_s loses the robot: the policy is stopped and the arm holds."
+                ),
+                arguments=NoArguments,
+                result=OperatorResult,
+                handler=heartbeat,
+                idempotent=True,
+            ),
+        ]

@@ -1,0 +1,195 @@
+"""Sessions of the 2025 protocols over HTTP: a share for each holder, and no request id twice at work."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mcp.server.streamable_http import GET_STREAM_KEY
+from mcp.server.transport_security import RequestBodyLimitMiddleware
+from pydantic_core import from_json
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rn_standard.http.local_clients import account_of
+from roboneuron.feature import BUSY, HOLDER_KEY, EnvelopeError, Holder, check_id, repeated
+
+log = logging.getLogger(__name__)
+MOST_SESSIONS, MOST_SESSIONS_OF_ONE = 256, 64
+IDLE_S = 600.0
+SESSION_HEADER = "mcp-session-id"
+_REQUEST_KEY = "roboneuron.request"
+_MOST_IDS = 4096
+
+
+@dataclass(eq=False, slots=True)
+class _Session:
+    holder: str
+    used_s: float
+    open: int = 0
+    ids: dict[int | str, _Request] = field(default_factory=dict)
+
+
+@dataclass(eq=False, slots=True)
+class _Request:
+    """A request of a session: at work until it was answered, or its handler and its HTTP exchange have both ended."""
+
+    free: Callable[[], object]
+    is_handled: bool = False
+    is_left: bool = False
+
+    def handled(self) -> None:
+        self.is_handled = True
+        if self.is_left:
+            self.free()
+
+    def left(self, is_answered: bool) -> None:
+        self.is_left = True
+        if is_answered or self.is_handled:
+            self.free()
+
+
+class Sessions:
+    """ASGI application around the SDK's.
+
+    Args:
+        app: the SDK's.
+        most_bytes: largest body.
+        most_of_one: most sessions of one holder.
+        on_end: told the id of a session that ended.
+    """
+
+    def __init__(
+        self, app: ASGIApp, most_bytes: int, most_of_one: int, on_end: Callable[[str], object] = lambda session: None
+    ) -> None:
+        self._app = app
+        self._with_body = RequestBodyLimitMiddleware(self._serve, most_bytes)
+        self._most_of_one = most_of_one
+        self._on_end = on_end
+        self._sessions: dict[str, _Session] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        is_post = scope["type"] == "http" and scope["method"] == "POST"
+        await (self._with_body if is_post else self._serve)(scope, receive, send)
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        self._forget_idle()
+        try:
+            if scope["method"] == "POST":
+                message = await receive()
+                request_id = _request_id(message.get("body", b""))
+                receive = _again(message, receive)
+            else:
+                request_id = None
+            await self._serve_session(scope, receive, send, request_id)
+        except EnvelopeError as error:
+            status = 503 if error.error["code"] == BUSY else 400
+            await Response(error.answer, status_code=status, media_type="application/json")(scope, receive, send)
+
+    async def _serve_session(self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None) -> None:
+        holder: Holder = scope[HOLDER_KEY]
+        name = Headers(scope=scope).get(SESSION_HEADER)
+        session = self._sessions.get(name) if name is not None else None
+        request = None
+        if session is not None and session.holder == account_of(holder) and request_id is not None:
+            request = _begin(session, request_id)
+            scope = {**scope, _REQUEST_KEY: request}
+        is_answered = False
+
+        async def watch(message: Message) -> None:
+            nonlocal is_answered
+            if message["type"] == "http.response.start":
+                self._note(scope["method"], name, message, account_of(holder))
+            elif not message.get("more_body", False):
+                is_answered = True
+            await send(message)
+
+        if name is None and request_id is not None:
+            self._check_share(scope, account_of(holder))
+        if session is not None:
+            session.open += 1
+        try:
+            await self._app(scope, receive, watch)
+        finally:
+            if request is not None:
+                request.left(is_answered)
+            if session is not None:
+                session.open -= 1
+                session.used_s = time.monotonic()
+
+    def _check_share(self, scope: Scope, holder: str) -> None:
+        """Raise EnvelopeError when a holder would open one session too many."""
+        version = Headers(scope=scope).get("mcp-protocol-version", "")
+        count = sum(session.holder == holder for session in self._sessions.values())
+        if count >= self._most_of_one and version < "2026":
+            raise EnvelopeError(BUSY, f"{holder!r} has {count} sessions open already; end one, or use those.")
+
+    def _note(self, method: str, name: str | None, message: Message, holder: str) -> None:
+        if message["status"] >= 400:
+            return
+        opened = MutableHeaders(scope=message).get(SESSION_HEADER)
+        if opened is not None and name is None:
+            self._sessions[opened] = _Session(holder=holder, used_s=time.monotonic())
+        if method == "DELETE" and name is not None and self._sessions.pop(name, None) is not None:
+            self._on_end(name)
+
+    def _forget_idle(self) -> None:
+        """As the SDK does with sessions in which nothing is open for so long."""
+        now_s = time.monotonic()
+        idle = [n for n, s in self._sessions.items() if not s.open and now_s - s.used_s > IDLE_S]
+        for name in idle:
+            del self._sessions[name]
+            self._on_end(name)
+
+
+async def note_handled(ctx: Any, call_next: Callable[[Any], Any]) -> Any:
+    """Middleware of the SDK's server: tells the Sessions that the handler of a request has ended."""
+    try:
+        return await call_next(ctx)
+    finally:
+        found = ctx.request.scope.get(_REQUEST_KEY) if ctx.request is not None else None
+        if isinstance(found, _Request):
+            found.handled()
+
+
+def _begin(session: _Session, request_id: int | str) -> _Request:
+    """Raises EnvelopeError for an id that is at work."""
+    from mcp.shared.dispatcher import coerce_request_id
+
+    key = coerce_request_id(request_id)
+    if key in session.ids or key == GET_STREAM_KEY or len(session.ids) >= _MOST_IDS:
+        raise repeated(request_id)
+    request = session.ids[key] = _Request(free=lambda: session.ids.pop(key, None))
+    return request
+
+
+def _request_id(body: bytes) -> int | str | None:
+    """The id of a request; None for what is none, or for what the SDK will say that it is nothing at all.
+
+    Raises:
+        EnvelopeError: it has one that cannot be.
+    """
+    try:
+        raw = from_json(body)
+    except ValueError:
+        return None
+    check_id(raw)
+    is_request = isinstance(raw, dict) and "method" in raw
+    return raw.get("id") if is_request else None
+
+
+def _again(message: Message, receive: Receive) -> Receive:
+    """`receive` with a message before the rest."""
+    first: list[Message] = [message]
+
+    async def replay() -> Message:
+        return first.pop() if first else await receive()
+
+    return replay

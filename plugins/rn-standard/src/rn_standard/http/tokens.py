@@ -1,0 +1,150 @@
+"""Bearer tokens: from the environment or from files, compared in constant time, never shown."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import logging
+import os
+import re
+import stat
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rn_standard.http.options import TokenConfig
+from roboneuron import ConfigurationError
+from roboneuron.feature import Holder
+
+log = logging.getLogger(__name__)
+_LEAST_CHARACTERS = 16
+_STOP = b"emergency_stop"
+_BEARER = re.compile(rb"\r\nauthorization:[ \t]*bearer[ \t]+([!-~]+)[ \t]*\r\n", re.IGNORECASE)
+"""Source: RFC 9110, section 5.5, and RFC 6750, section 2.1."""
+_NEW = "Make one with: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
+
+
+class TokenTable:
+    """Holders by token; keeps digests, not tokens."""
+
+    def __init__(self, entries: Sequence[tuple[str, Holder]]) -> None:
+        self._entries = _digests(entries)
+
+    def __bool__(self) -> bool:
+        return bool(self._entries)
+
+    def find(self, token: str) -> Holder | None:
+        """Whose token it is; takes equally long whichever it is, or none."""
+        given, found = _digest(token), None
+        for digest, holder in self._entries:
+            if hmac.compare_digest(given, digest):
+                found = holder
+        return found
+
+
+class TokenFiles(TokenTable):
+    """The tokens of a running server: a file that changes is read again at the next request.
+
+    A file that is gone, or holds no good token any more, leaves its holder without one; the others keep theirs.
+    """
+
+    def __init__(self, sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> None:
+        """Raises ConfigurationError as `read_tokens`."""
+        self._sections = sections
+        self._environment = environment
+        self._marks = self._look()
+        super().__init__(_entries(sections, environment))
+
+    def __bool__(self) -> bool:
+        """Whether a token is asked for; also when none is good at the moment."""
+        return bool(self._sections)
+
+    def find(self, token: str) -> Holder | None:
+        """As `TokenTable.find`, by what the files hold now."""
+        marks = self._look()
+        if marks != self._marks:
+            self._marks = marks
+            good: list[tuple[str, Holder]] = []
+            for section in self._sections:
+                try:
+                    good = _entries([section], self._environment, good)
+                except ConfigurationError as error:
+                    log.error("A token is not accepted any more: %s", error)
+            self._entries = _digests(good)
+            log.info("The files of tokens have changed; %d of %d are good.", len(good), len(self._sections))
+        return super().find(token)
+
+    def _look(self) -> list[tuple[int, ...] | None]:
+        """What tells that a file has changed; None without one."""
+        return [_mark(section.file) for section in self._sections if section.file is not None]
+
+
+def _mark(name: str) -> tuple[int, ...] | None:
+    try:
+        seen = Path(name).expanduser().stat()
+    except OSError:
+        return None
+    return seen.st_mtime_ns, seen.st_ctime_ns, seen.st_ino, seen.st_size, seen.st_mode
+
+
+def shows_right(tokens: TokenTable, first: bytes) -> bool:
+    """Whether the first bytes of a connection hold a valid token, or where there are none, the name of the stop."""
+    if not tokens:
+        return _STOP in first
+    found = _BEARER.search(first)
+    return found is not None and tokens.find(found.group(1).decode("ascii")) is not None
+
+
+def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> TokenTable:
+    """Read the tokens that the configuration points to.
+
+    Raises:
+        ConfigurationError: one is absent, short, readable by others, or the same as another; never shows it.
+    """
+    return TokenTable(_entries(sections, environment))
+
+
+def _entries(
+    sections: Sequence[TokenConfig], environment: Mapping[str, str], before: Sequence[tuple[str, Holder]] = ()
+) -> list[tuple[str, Holder]]:
+    """Tokens and holders, after those before."""
+    entries = list(before)
+    for section in sections:
+        token = _read(section, environment)
+        where = f"The token of {section.name!r}"
+        if len(token) < _LEAST_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
+            raise ConfigurationError(
+                f"{where} must have at least {_LEAST_CHARACTERS} printable ASCII characters, none of them a space.",
+                hint=_NEW,
+            )
+        if any(token == other or section.name == holder.who for other, holder in entries):
+            raise ConfigurationError(f"{where} or its name is that of another entry of [[http.tokens]].", hint=_NEW)
+        entries.append((token, Holder(who=section.name, role=section.role)))
+    return entries
+
+
+def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
+    where = f"The token of {section.name!r} in [[http.tokens]]"
+    if (section.variable is None) == (section.file is None):
+        raise ConfigurationError(f"{where} needs either `variable` or `file`.")
+    if section.variable is not None:
+        token = environment.get(section.variable, "")
+        if not token:
+            raise ConfigurationError(f"{where} is in {section.variable}, which is not set.", hint=_NEW)
+        return token
+    assert section.file is not None
+    path = Path(section.file).expanduser()
+    try:
+        with path.open(encoding="utf-8") as file:
+            if os.fstat(file.fileno()).st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ConfigurationError(f"{where}: others can read {path}.", hint=f"chmod 600 {path}")
+            return file.read(4096).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error
+
+
+def _digests(entries: Sequence[tuple[str, Holder]]) -> list[tuple[bytes, Holder]]:
+    return [(_digest(token), holder) for token, holder in entries]
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", errors="surrogateescape")).digest()

@@ -1,0 +1,109 @@
+"""The feature: incident records, restarts, memory limits and the server's log."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any, get_args
+
+from rn_standard.ops.incidents import FOLDER, Incidents
+from rn_standard.ops.memory import MemoryWatch
+from rn_standard.ops.options import OpsOptions
+from rn_standard.ops.other_servers import ServerPresence
+from rn_standard.ops.records import Source, log_resource, record_tools
+from rn_standard.ops.restarts import Restarts
+from rn_standard.ops.server_log import ServerLog
+from roboneuron import Feature, Host, Resource, Tool
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, module_status
+
+log = logging.getLogger(__name__)
+_ACTIONS = 30
+_ORDINARY = frozenset({"ungrounded"})
+"""An instruction that a backend cannot follow is an answer, not a fault."""
+
+
+class Operations(Feature[OpsOptions]):
+    """Records what goes wrong in one server, and restarts and ends module processes as configured."""
+
+    _incidents: Incidents
+    _restarts: Restarts | None = None
+    _memory: MemoryWatch | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """get_logs and list_incidents."""
+        self._host = host
+        self._incidents = Incidents(host.state_directory / FOLDER)
+        self._restarts = Restarts(host.supervisor, self.options, self._note_restart, self._before_restart)
+        self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
+        self._log = ServerLog(host.supervisor.log_directory)
+        host.events.open.listen(self._log.open)
+        self._presence = ServerPresence(host.state_directory)
+        host.events.open.listen(self._tell_of_other_servers)
+        host.events.end.listen(self._presence.close)
+        host.events.end.listen(self._log.close)
+        host.events.stop.listen(self._restarts.cancel)
+        host.events.health.listen(self._record)
+        host.events.health.listen(self._restarts.on_health)
+        host.events.fault.listen(self._incidents.record)
+        return record_tools(host.supervisor, self._incidents)
+
+    def resources(self, host: Host) -> Sequence[Resource]:
+        """The logs of modules and of the server."""
+        return [log_resource(host.supervisor, source) for source in get_args(Source)]
+
+    def _tell_of_other_servers(self) -> None:
+        for pid in self._presence.open():
+            log.warning(
+                "Another server (pid %d) uses the state directory %s too. They share its emergency stop, its audit and "
+                "its records, and a robot can be started in one of them only. If you did not mean that, end one of "
+                "them, or give each a [supervisor] state_directory of its own.",
+                pid,
+                self._host.state_directory,
+            )
+
+    def start(self, host: Host) -> None:
+        """Begin to watch the memory of modules."""
+        assert self._memory is not None
+        self._memory.start()
+
+    def close(self) -> None:
+        """End restarts and the memory watch; the log goes on until the server has ended."""
+        if self._restarts is not None:
+            self._restarts.close()
+        if self._memory is not None:
+            self._memory.close()
+
+    def _record(self, view: ModuleView, before: Health, health: Health) -> None:
+        if health not in FAULTS:
+            return
+        if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
+            return
+        status = module_status(view).model_dump(mode="json")
+        lines = list(view.process.last_lines()) if view.process is not None else []
+        self._incidents.record(
+            view.kind,
+            health,
+            {
+                "before": before,
+                "explanation": EXPLANATIONS[health],
+                "status": status,
+                "log": lines,
+                "actions": self._last_actions(),
+            },
+        )
+
+    def _last_actions(self) -> list[dict[str, Any]]:
+        stream = self._host.loop.streams.get(self._host.config.namespace)
+        newest = list(stream.copy())[-_ACTIONS:] if stream is not None else []
+        return [{"sent_ns": at, "values": list(values)} for at, values in newest]
+
+    def _before_restart(self, kind: ModuleKind) -> None:
+        self._host.loop.starts.stop(kind, f"{kind} is started again after a failure", is_asked=False)
+
+    def _note_restart(self, kind: ModuleKind, what: str) -> None:
+        log.warning("%s: %s.", kind, what)
+        self._host.events.fault.tell(kind, "restart", {"explanation": what})
+
+    def _note_memory(self, kind: ModuleKind, what: str) -> None:
+        facts = {"explanation": what, "actions": self._last_actions()}
+        self._host.events.fault.tell(kind, "memory", facts)

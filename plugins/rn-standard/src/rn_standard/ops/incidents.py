@@ -1,0 +1,89 @@
+"""One JSON file for each fault: what, when, the module's last status and log, and the last actions."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from roboneuron.feature import make_log_directory, opener
+
+log = logging.getLogger(__name__)
+FOLDER = "incidents"
+_KEPT = 200
+_AGAIN_S = 5.0
+"""The same fault of the same module is one incident when it comes and goes within this time."""
+
+
+class Incidents:
+    """Writes and lists the records; the newest 200 are kept. Usable from any thread.
+
+    Args:
+        directory: where the files are; made on the first record.
+        clock: wall-clock time [s], for the stamps.
+        monotonic: time [s] by which a repetition is known.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        clock: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.directory = directory
+        self._clock = clock
+        self._monotonic = monotonic
+        self._lock = threading.Lock()
+        self._newest: dict[tuple[str, str], float] = {}
+        self._count = 0
+
+    def record(self, module: str, what: str, facts: Mapping[str, Any]) -> Path | None:
+        """Write one; None when it repeats a recent one, or cannot be written (that goes to the log)."""
+        now_s, seen_s = self._clock(), self._monotonic()
+        with self._lock:
+            again = seen_s - self._newest.get((module, what), -math.inf) < _AGAIN_S
+            self._newest[module, what] = seen_s
+            if again:
+                return None
+            self._count += 1
+            number = self._count
+        at = datetime.fromtimestamp(now_s, UTC)
+        name = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z-{os.getpid()}-{number}-{module}-{what}.json"
+        record = {"id": name.removesuffix(".json"), "at": at.isoformat(), "module": module, "what": what, **facts}
+        path = self.directory / name
+        try:
+            make_log_directory(self.directory)
+            temporary = path.with_suffix(".part")
+            with open(temporary, "w", encoding="utf-8", opener=opener) as file:
+                json.dump(record, file, indent=1)
+            temporary.replace(path)
+            self._thin_out()
+        except OSError as error:
+            log.error("The incident %s cannot be recorded: %s", name, error)
+            return None
+        log.warning("Incident recorded: %s", path)
+        return path
+
+    def listing(self, most: int) -> list[dict[str, Any]]:
+        """The newest records, newest first."""
+        found = []
+        for path in self._files()[-most:][::-1]:
+            try:
+                found.append(json.loads(path.read_text(encoding="utf-8")))
+            except (OSError, ValueError) as error:
+                log.warning("The incident record %s cannot be read: %s", path, error)
+        return found
+
+    def _files(self) -> Sequence[Path]:
+        return sorted(self.directory.glob("*.json")) if self.directory.is_dir() else []
+
+    def _thin_out(self) -> None:
+        for path in self._files()[:-_KEPT]:
+            path.unlink(missing_ok=True)

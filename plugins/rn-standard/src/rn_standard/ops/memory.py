@@ -1,0 +1,73 @@
+"""Memory limits of module processes: a leaking plugin must not starve the processes that hold the arm."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from weakref import WeakSet
+
+from rn_standard.ops.options import MemoryOptions
+from roboneuron.feature import MODULE_KINDS, ModuleKind, ModuleProcess, Periodic, Slot, Supervisor
+
+log = logging.getLogger(__name__)
+_LOOK_S = 0.05
+GRACE_S = 0.5
+"""Between SIGTERM, which lets a module hold the robot, and SIGKILL."""
+Record = Callable[[ModuleKind, str], None]
+"""Told which module was ended, and why."""
+
+
+def own_memory_mb(pid: int) -> float | None:
+    """Memory of a process that nobody else uses [MB]: resident, without files and shared memory; None when it is gone.
+
+    Source: proc_pid_statm(5).
+    """
+    try:
+        fields = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()
+    except OSError:
+        return None
+    return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class MemoryWatch(Periodic):
+    """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at starting ones too.
+
+    Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
+    """
+
+    def __init__(self, supervisor: Supervisor, limits: MemoryOptions, record: Record) -> None:
+        super().__init__("memory", _LOOK_S, self.look)
+        self._supervisor = supervisor
+        self._limits = limits
+        self._record = record
+        self._ended: WeakSet[ModuleProcess] = WeakSet()
+
+    def look(self) -> None:
+        """Compare all modules with their limits."""
+        for kind in MODULE_KINDS:
+            for slot in tuple(self._supervisor.slots[kind]):  # the one that works, and one that is to replace it
+                self._check(slot)
+
+    def _check(self, slot: Slot) -> None:
+        process = slot.process
+        if process is None or process.exit_code is not None or process in self._ended:
+            return
+        limit_mb = self._limits.limit_mb(slot.kind)
+        used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
+        if limit_mb is None or used_mb is None or used_mb <= limit_mb:
+            return
+        why = f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {slot.kind} = {limit_mb} are allowed"
+        log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
+        self._ended.add(process)
+        process.note(f"supervisor: {slot.kind} is {why}.")
+        threading.Thread(target=_end, args=(process,), name=f"end-{slot.kind}", daemon=True).start()
+        self._record(slot.kind, why)
+
+
+def _end(process: ModuleProcess) -> None:
+    process.terminate()
+    if not process.wait(GRACE_S):
+        process.kill()

@@ -1,0 +1,53 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="ops",
+    summary="Records incidents, restarts modules, bounds their memory and keeps the server's log.",
+    target="rn_standard.ops.feature:Operations",
+    config="rn_standard.ops.options:OpsOptions",
+)
+"""Descriptor of the feature that records and restarts."""
+
+CLIENTS = FeatureSpec(
+    name="clients",
+    summary="Tells clients what changes, and asks the person behind a client.",
+    target="rn_standard.ops.clients:Clients",
+)
+"""Descriptor of the feature that clients hear changes and questions from."""
+
+RECOVERY = FeatureSpec(
+    name="recovery",
+    summary="recover_robot: a person releases a robot that a fault has stopped.",
+    target="rn_standard.ops.recovery:RecoveryFeature",
+    on_join="rn_standard.ops.recovery_parameter:join",
+)
+"""Descriptor of the feature that clears faults of drivers that can (`DriverSpec.recovers`)."""
+
+REAL_ROBOT = FeatureSpec(
+    name="real-robot",
+    summary="Asks a person before a client first starts a real robot.",
+    target="rn_standard.ops.real_robot:RealRobotFeature",
+    config="rn_standard.ops.real_robot:RealRobotOptions",
+)
+"""Descriptor of the feature that asks about real robots."""
+
+COMMAND = CommandSpec(
+    name="doctor",
+    summary="check whether this machine and a configuration are ready",
+    target="rn_standard.doctor.command:Doctor",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE, CLIENTS, RECOVERY, REAL_ROBOT)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)

@@ -1,0 +1,85 @@
+"""Ask a person before a client first starts a real robot: `[real_robot]` of roboneuron.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+from pydantic import Field
+
+from roboneuron import Arguments, CallContext, Feature, Host, RefusedError, Section, Tool
+from roboneuron.feature import AuditRecord
+
+_STARTS = ("start_robot", "start_all")
+_DOWN = ("stopped", "exited")
+Handler = Callable[[Any, CallContext], Awaitable[Any]]
+
+
+class RealRobotOptions(Section):
+    """`[real_robot]`: who agrees to the first start of a robot whose driver is not declared as simulated."""
+
+    confirm: Literal["ask", "require", "never"] = Field(
+        default="ask",
+        description="ask: the person behind the client, if it can ask one; require: no start without a person's "
+        "agreement; never: nobody is asked",
+    )
+
+
+class RealRobotFeature(Feature[RealRobotOptions]):
+    """Makes start_robot and start_all ask, once for each robot and driver while the server runs."""
+
+    _agreed: frozenset[tuple[str, str]] = frozenset()
+
+    def complete(self, host: Host) -> None:
+        """See `Feature.complete`: put the question before the tools that start a robot."""
+        for name in _STARTS:
+            tool = host.tools.get(name)
+            if tool is None or self.options.confirm == "never":
+                continue
+            text = tool.description
+            if host.loop.robot_facts.kind == "real":
+                text = f"{text} A person is asked before the first start."
+            host.tools.replace(replace(tool, handler=self._asking(host, tool), description=text))
+
+    def _asking(self, host: Host, tool: Tool[Any]) -> Handler:
+        async def handler(arguments: Arguments, context: CallContext) -> Any:
+            if host.supervisor.view("robot").phase in _DOWN:
+                await self._ask(host, tool.name, arguments if tool.name == _STARTS[0] else None, context)
+            return await tool.handler(arguments, context)
+
+        return handler
+
+    async def _ask(self, host: Host, tool: str, request: Arguments | None, context: CallContext) -> None:
+        """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed before."""
+        selection = await context.run(lambda _: host.loop.select("robot", request, context.role))
+        driver = selection.plan.driver
+        which = selection.config.robot.name, driver.name
+        if driver.simulated or which in self._agreed:
+            return
+        agreed = await context.ask(
+            f"Start the real robot {which[0]} (driver {which[1]})? It can move afterwards: look whether its "
+            "workspace is free and the stop button is at hand."
+        )
+        refused = agreed is False or (agreed is None and self.options.confirm == "require")
+        said = {True: "a person agreed", False: "a person did not agree", None: "this client cannot ask a person"}[
+            agreed
+        ]
+        host.audit.write(
+            AuditRecord(
+                who=context.who,
+                role=context.role,
+                tool=tool,
+                verdict="refused" if refused else "allowed",
+                robot=which[0],
+                reason=f"first start of the real robot by {which[1]}: {said}",
+            )
+        )
+        if refused:
+            raise RefusedError(
+                f"The real robot {which[0]} (driver {which[1]}) is not started: {said}.",
+                hint="Ask the person at the robot."
+                if agreed is False
+                else 'Use a client that supports elicitation, or let a person set confirm = "ask" in [real_robot].',
+            )
+        self._agreed |= {which}

@@ -1,0 +1,225 @@
+"""The tools by which an agent reads what happened: the modules' logs and the incident records."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from rn_standard.ops.incidents import Incidents
+from rn_standard.ops.server_log import FILE_NAME
+from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
+from roboneuron.feature import ModuleKind, Supervisor, read_tail
+
+Level = Literal["debug", "info", "warning", "error"]
+Source = Literal["robot", "perception", "inference", "control", "server"]
+_LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
+_RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
+_ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
+LOG_LINES = 500
+_MOST_LINES = 2000
+_MOST_TEXT = 4000
+_MOST_LOG, _MOST_ANSWER = 8000, 20_000
+"""Characters of the log in one record, and of all entries of get_logs together."""
+_MOST_RESOURCE = 40_000
+_LINE = 200
+
+
+class GetLogs(Arguments):
+    """Arguments of get_logs."""
+
+    module: Source = Field(description="Whose log; server: the log of this server itself.")
+    entries: int = Field(default=50, ge=1, le=500, description="Most entries; the newest are given.")
+    level: Level = Field(default="debug", description="Leave out entries below this level.")
+    contains: str = Field(default="", max_length=200, description="Only entries with this text.")
+
+
+class LogEntry(Result):
+    """One entry; `level` is empty for what was not written by the logger (a plugin's or library's own output)."""
+
+    at: str = Field(default="", description="local time")
+    level: str = ""
+    logger: str = ""
+    text: str
+
+
+class LogsResult(Result):
+    """The newest entries, oldest first."""
+
+    module: Source
+    entries: list[LogEntry]
+    more: int = Field(
+        description="older entries of the end of the log that are left out; `contains` and `level` narrow it"
+    )
+    path: str = Field(description="the whole log, on the server's host")
+
+
+class ListIncidents(Arguments):
+    """Arguments of list_incidents."""
+
+    entries: int = Field(default=10, ge=1, le=100, description="Most records; the newest are given.")
+    module: ModuleKind | None = Field(default=None, description="Only of this module.")
+    id: str | None = Field(default=None, max_length=200, description="This one alone, with status, log and actions.")
+
+
+class Incident(Result):
+    """One fault in a line; the second part only of the one whose id was named."""
+
+    id: str
+    at: str = Field(description="ISO 8601")
+    module: str
+    what: str = Field(description="failing, stalled, stuck, silent, exited, restart ...")
+    explanation: str = Field(default="", description="what that means, and the module's error if it had one")
+    before: str = Field(default="", description="how it was before")
+    status: dict[str, Any] = Field(default_factory=dict, description="the module's last status, as in get_status")
+    log: list[str] = Field(default_factory=list, description="the end of its log")
+    actions: list[dict[str, Any]] = Field(
+        default_factory=list, description="the last actions on the action topic: when they were sent, and their values"
+    )
+
+
+class IncidentsResult(Result):
+    """The newest records, newest first."""
+
+    sparse = True
+
+    incidents: list[Incident]
+    more: int = Field(description="further records that fit the call")
+    directory: str = Field(description="where the whole records are, on the server's host")
+
+
+def incident_line(record: Mapping[str, Any]) -> Incident:
+    """A record in a line."""
+    told = str(record.get("explanation", ""))
+    error = (record.get("status") or {}).get("error") or {}
+    if error.get("message"):
+        told = f"{told}: {error['message']}" if told else str(error["message"])
+    named: dict[str, Any] = {key: str(record.get(key, "")) for key in ("id", "at", "module", "what")}
+    return Incident(**named, explanation=told if len(told) <= _LINE else f"{told[:_LINE]} ...")
+
+
+def whole_incident(record: Mapping[str, Any]) -> Incident:
+    """All that is kept of a fault, without what is empty; a long log is cut at its beginning."""
+    parts = _filled({key: record[key] for key in Incident.model_fields if key in record})
+    if "log" in parts:
+        parts["log"] = newest_lines(parts["log"], _MOST_LOG)
+    if "status" in parts:
+        parts["status"] = _filled(parts["status"])
+    return Incident.model_validate(parts)
+
+
+def _filled(facts: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in facts.items() if value not in (None, "", [], {})}
+
+
+def newest_lines(lines: Sequence[str], most: int) -> list[str]:
+    """The last lines, of at most so many characters together; says how many lines are left out."""
+    kept: list[str] = []
+    for line in reversed(lines):
+        most -= len(line)
+        if most < 0:
+            return [f"({len(lines) - len(kept)} older lines are left out)", *reversed(kept)]
+        kept.append(line)
+    return kept[::-1]
+
+
+def newest_entries(entries: Sequence[LogEntry]) -> list[LogEntry]:
+    """The last entries, at least one, of at most so many characters together as an agent can read."""
+    kept: list[LogEntry] = []
+    room = _MOST_ANSWER
+    for entry in reversed(entries):
+        room -= len(entry.text) + len(entry.logger)
+        if kept and room < 0:
+            break
+        kept.append(entry)
+    return kept[::-1]
+
+
+def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
+    """Log lines as entries; lines that continue one (a traceback) belong to it."""
+    entries: list[LogEntry] = []
+    for line in lines:
+        match = _ENTRY.match(line)
+        if match:
+            at, level, logger, text = match.groups()
+            entries.append(LogEntry(at=at, level=level.lower(), logger=logger, text=text))
+        elif entries and entries[-1].level:
+            text = f"{entries[-1].text}\n{line}"[:_MOST_TEXT]
+            entries[-1] = entries[-1].model_copy(update={"text": text})
+        else:
+            entries.append(LogEntry(text=line[:_MOST_TEXT]))
+    return entries
+
+
+def log_file(supervisor: Supervisor, source: Source) -> Path:
+    """Where a module, or the server itself, logs."""
+    return supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
+
+
+def log_resource(supervisor: Supervisor, source: Source) -> Resource:
+    """The end of a module's log, or of the server's."""
+    return Resource(
+        uri=f"roboneuron://logs/{source}",
+        name=f"log of {source}",
+        title=f"Log of {source}",
+        description=f"The last {LOG_LINES} lines that {source} has written.",
+        read=lambda: "\n".join(newest_lines(read_tail(log_file(supervisor, source), lines=LOG_LINES), _MOST_RESOURCE)),
+    )
+
+
+def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]]:
+    """get_logs and list_incidents."""
+
+    async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
+        path = log_file(supervisor, arguments.module)
+        least = _LEVELS.index(arguments.level)
+        entries = [
+            entry
+            for entry in parse_entries(await context.run(lambda _: read_tail(path, lines=_MOST_LINES)))
+            if _RANK.get(entry.level.upper(), 1) >= least and arguments.contains in entry.text
+        ]
+        kept = newest_entries(entries[-arguments.entries :])
+        return LogsResult(module=arguments.module, entries=kept, more=len(entries) - len(kept), path=str(path))
+
+    async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
+        found = await context.run(lambda _: incidents.listing(200))
+        directory = str(incidents.directory)
+        if arguments.id is not None:
+            one = next((record for record in found if record.get("id") == arguments.id), None)
+            if one is None:
+                raise InvalidInputError(
+                    f"There is no incident {arguments.id!r}.", hint="Call list_incidents without `id`.", path="id"
+                )
+            return IncidentsResult(incidents=[whole_incident(one)], more=0, directory=directory)
+        fitting = [record for record in found if arguments.module in (None, record.get("module"))]
+        lines = [incident_line(record) for record in fitting[: arguments.entries]]
+        return IncidentsResult(incidents=lines, more=len(fitting) - len(lines), directory=directory)
+
+    return [
+        Tool(
+            name="get_logs",
+            title="Log of a module or of the server",
+            description="The newest entries of a module's log, also after it has ended, or of the server's log.",
+            arguments=GetLogs,
+            result=LogsResult,
+            handler=get_logs,
+            read_only=True,
+            idempotent=True,
+        ),
+        Tool(
+            name="list_incidents",
+            title="What went wrong",
+            description=(
+                "Faults, one line each, newest first: modules that ended, froze, stalled or failed, and restarts. With "
+                "`id` one of them in full: status, log and last actions. Kept across restarts of the server."
+            ),
+            arguments=ListIncidents,
+            result=IncidentsResult,
+            handler=list_incidents,
+            read_only=True,
+            idempotent=True,
+        ),
+    ]

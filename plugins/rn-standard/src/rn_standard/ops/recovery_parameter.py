@@ -1,0 +1,72 @@
+"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may ask for it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from functools import partial
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from roboneuron import PluginError, RoboNeuronError
+
+if TYPE_CHECKING:
+    from roboneuron.feature import Module, ModuleHost
+
+RECOVER_PARAMETER = "recover"
+"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""
+log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class RecoverableDriver(Protocol):
+    """What a driver may offer, without importing this: to clear a fault that has stopped the robot."""
+
+    def recover(self) -> str:
+        """Clear the fault because a person said so; nothing moves. Returns what was cleared.
+
+        Raises:
+            StateError: there is no fault.
+            RefusedError: its cause still stands; the message says what to do.
+        """
+        ...
+
+
+def join(host: ModuleHost) -> None:
+    """Called in every module process; see `FeatureSpec.on_join`."""
+    if host.settings.kind == "robot":
+        host.on_configured.append(partial(_extend, host))
+
+
+def _extend(host: ModuleHost, module: Module) -> None:
+    driver = getattr(module, "driver", None)
+    if isinstance(driver, RecoverableDriver):
+        recovery = Recovery(host, driver)
+        host.resources.callback(host.add_parameter(RECOVER_PARAMETER, 0, recovery.ask))
+
+
+class Recovery:
+    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number> <word> <text>"."""
+
+    def __init__(self, host: ModuleHost, driver: RecoverableDriver) -> None:
+        self._host = host
+        self._status = host.status
+        self._driver = driver
+        self._busy = threading.Lock()
+
+    def ask(self, number: int) -> None:
+        """Begin to recover; `number` tells this request from others."""
+        if number:
+            threading.Thread(target=self._run, args=(number,), name="recovery", daemon=True).start()
+
+    def _run(self, number: int) -> None:
+        with self._busy:
+            self._host.require_start("a recovery from a fault")  # what was asked for before it is not carried out
+            try:
+                told = f"recovered {self._driver.recover()}"
+            except RoboNeuronError as error:
+                told = f"{error.code} {error}"
+            except Exception as error:  # the thread's border: who asked gets an answer
+                log.exception("The driver could not be recovered.")
+                told = f"{PluginError.code} {type(error).__name__}: {error}"
+        self._status.set_value("recovery", f"{number} {told}")
+        self._status.changed.set()

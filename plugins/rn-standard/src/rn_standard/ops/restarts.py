@@ -1,0 +1,201 @@
+"""Restarts of modules after failures: which, how often, and how soon."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from rn_standard.ops.load import OVERLOADED, cores, runnable_per_core
+from rn_standard.ops.options import OpsOptions
+from roboneuron import RoboNeuronError
+from roboneuron.feature import MODULE_KINDS, Config, Health, ModuleKind, ModuleView, Supervisor, assess
+
+log = logging.getLogger(__name__)
+_FROZEN: frozenset[Health] = frozenset({"silent", "stuck", "stalled"})
+_LOOK_S = 0.05
+_SAMPLES = 5
+"""Looks at the load before a restart: a quarter of a second."""
+_FROZEN_SAMPLES = 20
+"""Looks at the load while a module is frozen: the newest second."""
+_PATIENCE = 5.0
+"""How many times longer than `unresponsive_s` a module may be frozen while the machine is overloaded."""
+_HOUR_S = 3600.0
+_LONGEST_S = 60.0
+"""Longest wait before a restart on an overloaded machine, where starting a process makes it worse for all others."""
+_RELIEF = "stop other programs, or use fewer cameras, a lower rate or a smaller image"
+Record = Callable[[ModuleKind, str], None]
+"""Told what was restarted, and how that went."""
+
+
+class Restarts:
+    """Starts modules again that ended or froze, where `[ops.restart]` says "on_failure".
+
+    A module that is at fault itself has a limit within a window; the wait before a restart doubles with every restart
+    in that window. While the machine is overloaded nobody can say whose fault it is: a frozen module is given more
+    time, restarts wait longer, and another limit holds, in an hour. A module that is frozen is ended first, once it
+    has been so for `unresponsive_s`. A start that somebody asks for makes all counts begin anew.
+
+    A restart sets nothing in motion: the policy has no instruction afterwards, and robot and control obey nothing until
+    somebody asks for motion.
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        options: OpsOptions,
+        record: Record,
+        before: Callable[[ModuleKind], object] = lambda kind: None,
+        load: Callable[[], float] = runnable_per_core,
+    ) -> None:
+        """Args:
+        supervisor, options: of the server.
+        record: told of restarts.
+        before: called right before a restart, which must set nothing in motion.
+        load: runnable tasks for each core.
+        """
+        self._supervisor = supervisor
+        self._before = before
+        self._options = options
+        self._record = record
+        self._load = load
+        self._lock = threading.Lock()
+        self._faults: dict[ModuleKind, deque[float]] = {kind: deque() for kind in MODULE_KINDS}
+        self._overloads: dict[ModuleKind, deque[float]] = {kind: deque() for kind in MODULE_KINDS}
+        self._pending: dict[ModuleKind, threading.Event] = {}
+        self._closed = False
+
+    def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Listener of `Watch`."""
+        if health == "starting":
+            self._begin_anew(view.kind)
+        if health != "exited" and health not in _FROZEN:
+            return
+        if view.choice is None or self._options.restart.policy(view.kind) != "on_failure":
+            return
+        with self._lock:
+            if self._closed or view.kind in self._pending:
+                return
+            self._pending[view.kind] = threading.Event()
+        threading.Thread(target=self._restart, args=(view,), name=f"restart-{view.kind}", daemon=True).start()
+
+    def _begin_anew(self, kind: ModuleKind) -> None:
+        """Forget earlier restarts, unless the start is one of them."""
+        with self._lock:
+            if kind not in self._pending:
+                self._faults[kind].clear()
+                self._overloads[kind].clear()
+
+    def cancel(self, kind: ModuleKind) -> bool:
+        """Somebody decides otherwise; returns whether a restart was pending."""
+        with self._lock:
+            pending = self._pending.get(kind)
+        if pending is not None:
+            pending.set()
+        return pending is not None
+
+    def close(self) -> None:
+        """No more restarts; idempotent."""
+        with self._lock:
+            self._closed = True
+            pending = list(self._pending.values())
+        for event in pending:
+            event.set()
+
+    def _restart(self, view: ModuleView) -> None:
+        kind = view.kind
+        cancelled = self._pending[kind]
+        try:
+            self._attempt(view, cancelled)
+        except RoboNeuronError as error:
+            self._record(kind, f"restart failed: {error.message}")
+        finally:
+            with self._lock:
+                del self._pending[kind]
+
+    def _attempt(self, view: ModuleView, cancelled: threading.Event) -> None:
+        assert view.choice is not None
+        kind, config = view.kind, view.choice.settings.config
+        if view.phase == "running" and not self._is_still_frozen(view, cancelled, self._options.unresponsive_s):
+            return
+        while (load := self._measured_load(cancelled)) is not None:
+            delay_s = self._delay_s(kind, load)
+            if delay_s is None:
+                return
+            if view.phase == "running" and self._supervisor.view(kind).phase == "running":
+                self._supervisor.stop(kind)
+            if cancelled.wait(delay_s):
+                return
+            if self._supervisor.view(kind).phase not in ("exited", "stopped"):
+                return
+            try:
+                self._before(kind)
+                section = getattr(config, kind)
+                self._supervisor.start(
+                    kind,
+                    without_instruction(config),
+                    python=section.python if section else None,
+                    names=view.choice.names,
+                    plan=view.choice.plan,
+                )
+            except RoboNeuronError as error:
+                self._record(kind, f"restart failed: {error.message}")
+                continue
+            advice = f"; {_overload(load)}: {_RELIEF}" if load >= OVERLOADED else ""
+            self._record(kind, f"restarted after {delay_s:g} s{advice}")
+            return
+
+    def _delay_s(self, kind: ModuleKind, load: float) -> float | None:
+        """Count one more restart and return how long it waits; None, with a record, when there were too many."""
+        rules, now_s = self._options, time.monotonic()
+        is_overloaded = load >= OVERLOADED
+        history = self._overloads[kind] if is_overloaded else self._faults[kind]
+        window_s = _HOUR_S if is_overloaded else rules.restart_window_s
+        limit = rules.overload_restart_limit if is_overloaded else rules.restart_limit
+        while history and now_s - history[0] > window_s:
+            history.popleft()
+        if len(history) >= limit:
+            why = f"{_overload(load)}. First {_RELIEF}" if is_overloaded else "get_logs tells why. Mend the cause"
+            count = f"{len(history)} restarts within {window_s:g} s"
+            self._record(kind, f"not restarted: {count}; {why}, then call start_{kind}")
+            return None
+        delay_s = rules.restart_backoff_s * 2 ** len(history)
+        history.append(now_s)
+        return float(min(delay_s * 2, _LONGEST_S) if is_overloaded else delay_s)
+
+    def _measured_load(self, cancelled: threading.Event) -> float | None:
+        """Mean load of a quarter of a second; None when the restart was cancelled meanwhile."""
+        samples = []
+        for _ in range(_SAMPLES):
+            samples.append(self._load())
+            if cancelled.wait(_LOOK_S):
+                return None
+        return sum(samples) / len(samples)
+
+    def _is_still_frozen(self, view: ModuleView, cancelled: threading.Event, bound_s: float) -> bool:
+        """Whether it stays so for `bound_s`, or longer while the machine is overloaded."""
+        began_s = time.monotonic()
+        samples: deque[float] = deque(maxlen=_FROZEN_SAMPLES)
+        while True:
+            samples.append(self._load())
+            is_overloaded = sum(samples) / len(samples) >= OVERLOADED
+            if time.monotonic() - began_s >= bound_s * (_PATIENCE if is_overloaded else 1.0):
+                return True
+            if cancelled.wait(_LOOK_S):
+                return False
+            now = self._supervisor.view(view.kind)
+            if now.process is not view.process or assess(now, time.monotonic()) not in (*_FROZEN, "exited"):
+                return False
+
+
+def without_instruction(config: Config) -> Config:
+    """What is configured, for a policy that waits to be told what to do."""
+    if config.inference is None:
+        return config
+    return config.model_copy(update={"inference": config.inference.model_copy(update={"instruction": ""})})
+
+
+def _overload(load: float) -> str:
+    return f"the machine is overloaded ({load * cores():.0f} tasks for {cores()} cores)"

@@ -1,0 +1,66 @@
+"""The log file of the server, beside those of its modules, bounded in size."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from io import TextIOWrapper
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+
+from roboneuron.feature import PlainFormatter, make_log_directory, opener
+
+FILE_NAME = "server.log"
+_BYTES = 4 << 20
+"""Then a new file is begun; one older one is kept."""
+
+
+class _PrivateFile(RotatingFileHandler):
+    def _open(self) -> TextIOWrapper:
+        return open(self.baseFilename, self.mode, encoding=self.encoding, opener=opener)  # type: ignore[return-value]
+
+
+class ServerLog:
+    """Writes the records of this process's loggers to a file, at least from "info" on, from `open` to `close`.
+
+    Other handlers receive the same records as before.
+
+    Args:
+        directory: where it is; made when it does not exist.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / FILE_NAME
+        self._handler: logging.Handler | None = None
+        self._level = logging.NOTSET
+        self._quiet: list[logging.Handler] = []
+
+    def open(self) -> None:
+        """Begin; does nothing the second time. A disk that cannot be written costs the log, nothing else."""
+        if self._handler is not None:
+            return
+        with suppress(OSError):
+            make_log_directory(self.path.parent)
+            self._handler = _PrivateFile(self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8")
+            self._handler.setFormatter(PlainFormatter())
+            self._handler.handleError = lambda record: None  # type: ignore[method-assign]
+            root = logging.getLogger()
+            self._level = root.level
+            if root.level > logging.INFO:
+                self._quiet = [handler for handler in root.handlers if handler.level < root.level]
+                for handler in self._quiet:
+                    handler.setLevel(root.level)
+                root.setLevel(logging.INFO)
+            root.addHandler(self._handler)
+
+    def close(self) -> None:
+        """End; idempotent."""
+        if self._handler is not None:
+            root = logging.getLogger()
+            root.removeHandler(self._handler)
+            root.setLevel(self._level)
+            for handler in self._quiet:
+                handler.setLevel(logging.NOTSET)
+            self._quiet = []
+            self._handler.close()
+            self._handler = None

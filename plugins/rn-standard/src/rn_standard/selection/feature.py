@@ -1,0 +1,38 @@
+"""The feature: the start tools take arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rn_standard.selection.choosing import choose
+from rn_standard.selection.options import SelectionSections
+from rn_standard.selection.requests import REQUESTS, choices_of
+from roboneuron import Feature, Host, InternalError, Tool
+from roboneuron.feature import KIND_ENTRIES
+
+
+class SelectionFeature(Feature[SelectionSections]):
+    """Lets clients say what start_robot, start_perception, start_control and start_inference start."""
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """None of its own: those of core get arguments. See `Feature.tools`."""
+        host.loop.choose = choose
+        for kind, arguments in REQUESTS.items():
+            tool = host.tools.get(f"start_{kind}")
+            if tool is None:
+                raise InternalError(f"There is no tool start_{kind}.")
+            choices = {
+                argument: _installed(host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun)
+                for argument, offer in choices_of(kind).items()
+            }
+            host.tools.replace(replace(tool, arguments=arguments, choices=choices))
+        return ()
+
+
+def _installed(host: Host, kind: str, *, with_summaries: bool) -> Callable[[], dict[str, str]]:
+    """Asks for the usable plugins of a kind: name -> summary, or nothing where list_* tells enough."""
+    return lambda: {
+        name: spec.summary.rstrip(".") if with_summaries else "" for name, spec in host.registry.specs(kind).items()
+    }

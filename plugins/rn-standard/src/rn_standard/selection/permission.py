@@ -1,0 +1,114 @@
+"""What a client may name when it starts a module: options, and paths of checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from rn_standard.selection.restricted import restricted_values, unnamed_addresses
+from roboneuron import CheckpointError, DriverSpec, MissingDependencyError, RefusedError, Spec
+from roboneuron.feature import ADMIN, Config, load_options_model
+
+_ABSENT = object()
+
+
+def check_may_set(
+    spec: Spec | DriverSpec,
+    name: str,
+    configured: Mapping[str, object],
+    wanted: Mapping[str, object],
+    listed: Collection[str],
+    role: str,
+) -> None:
+    """Refuse a change of options that only the configuration may set; those that are listed are for admins.
+
+    Whole tables are replaced by a client's, so a restricted option may be neither changed, added nor left out.
+
+    Args:
+        spec: whose options these are.
+        name: of their section, `[plugins.<name>]`.
+        configured, wanted: without and with what the client gave.
+        listed: `agent_options` of `[server]`.
+        role: of the client.
+
+    Raises:
+        RefusedError: names the options.
+    """
+    if spec.config is None:
+        return  # there are no options; the one that was named is refused as unknown
+    try:
+        model = load_options_model(spec)
+    except MissingDependencyError:  # a plugin for an interpreter of its own: nobody here knows what its options name
+        model = None
+    fixed, given = restricted_values(model, configured), restricted_values(model, wanted)
+    changed = [key for key in {**fixed, **given} if fixed.get(key, _ABSENT) != given.get(key, _ABSENT)]
+    if model is not None:  # an unknown option is refused as such, with the nearest known one
+        known = {field.alias or option for option, field in model.model_fields.items()}
+        changed = [key for key in changed if "." in key or key in known]
+    keys = [f"{name}.{key}" for key in changed]
+    barred = [key for key in keys if not any(key == entry or key.startswith(f"{entry}.") for entry in listed)]
+    if f"{name}.checkpoint" in barred:
+        raise RefusedError("A checkpoint is no option for clients.", hint="Name it in the argument `checkpoint`.")
+    if barred:
+        raise RefusedError(
+            f"Only the configuration may set {_list(barred)}.",
+            hint="A person can set it there, or list it in agent_options of [server] for admins.",
+        )
+    if keys and role != ADMIN:
+        raise RefusedError(
+            f"Only a client with the role 'admin' may set {_list(keys)}.", hint="Ask a person who has it."
+        )
+
+
+def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> None:
+    """Refuse what an agent chose and would talk to an address that nobody wrote down: whoever listens there would get
+    images and instructions, and say how the robot moves.
+
+    Args:
+        spec: what the agent chose; the configuration does not choose it.
+        options: of its section, `[plugins.<name>]`.
+
+    Raises:
+        RefusedError: names the options.
+    """
+    try:
+        model = load_options_model(spec)
+    except MissingDependencyError:
+        return  # told when it is selected
+    absent = [] if model is None else [f"{spec.name}.{name}" for name in unnamed_addresses(model, options)]
+    if absent:
+        raise RefusedError(
+            f"{spec.name!r} would connect to a default address that the configuration does not name: {_list(absent)}.",
+            hint="A person writes the address into the configuration.",
+        )
+
+
+def _list(keys: Collection[str]) -> str:
+    return ", ".join(f"plugins.{key}" for key in keys)
+
+
+def check_may_load(config: Config, checkpoint: str) -> None:
+    """Refuse a client's path that lies neither below what the configuration names nor below a checkpoint root.
+
+    Raises:
+        RefusedError: it is neither; checked before whether it exists.
+        CheckpointError: it is no path.
+    """
+    named = [config.inference.checkpoint if config.inference else None]
+    named += [options.get("checkpoint") for options in config.plugins.values()]
+    allowed = [path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str) and path]
+    try:
+        wanted = _resolve(checkpoint)
+        if any(wanted.is_relative_to(_resolve(path)) for path in allowed):
+            return
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, a NUL
+        raise CheckpointError(f"The checkpoint {checkpoint!r} is no usable path: {error}.") from error
+    raise RefusedError(
+        f"The configuration does not allow the checkpoint {checkpoint!r}.",
+        hint=f"Allowed is what lies in: {', '.join(allowed) or 'nothing yet'}. A person can add a folder of models to "
+        "checkpoint_roots in [server].",
+    )
+
+
+def _resolve(path: str) -> Path:
+    return Path(path).expanduser().resolve()

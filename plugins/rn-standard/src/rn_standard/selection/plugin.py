@@ -1,0 +1,18 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="selection",
+    summary="Lets agents choose robot, cameras, controller, policy, checkpoint and options of what they start.",
+    target="rn_standard.selection.feature:SelectionFeature",
+    config="rn_standard.selection.options:SelectionSections",
+    sections=("models",),
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

@@ -1,0 +1,94 @@
+"""The acceleration of an inference module: a ROS parameter, so that it changes without reading the model again."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Protocol, cast, runtime_checkable
+
+from rn_standard.switching.standby import ACCELERATION_PARAMETER
+from roboneuron import AccelerationSpec, AnyAcceleration, RoboNeuronError
+from roboneuron.feature import InferenceModule, ModuleHost, build
+
+log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class AccelerationChanger(Protocol):
+    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
+
+    A backend that executes its model itself may offer it likewise. It need not import this.
+    """
+
+    def set_acceleration(self, acceleration: AnyAcceleration | None) -> None:
+        """Execute every later `run` with this preset, or with none.
+
+        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds (on
+        CUDA the time of a few predictions, once for each preset, where it records), and answers are then those of a
+        model that was loaded with the preset.
+
+        Raises:
+            RoboNeuronError: why it cannot be; the preset that was in force stays so.
+            StateError: before `load` or after `close`.
+        """
+        ...
+
+
+class AccelerationInForce:
+    """The preset that is in force, and the one that was asked for.
+
+    The status tells whether it can be changed (`acceleration_in_place`), and after each request `acceleration`,
+    `acceleration_answers`, `acceleration_refused` (the reason, empty when done) and `acceleration_changed_ns`.
+    """
+
+    def __init__(self, host: ModuleHost, module: InferenceModule) -> None:
+        """Args:
+        host: gets the parameter.
+        module: its backend or its runtime, the first that can, changes the preset.
+        """
+        self._status = host.status
+        self._module = module
+        parts: tuple[object, ...] = (module.backend, module.runtime)
+        self._changer: AccelerationChanger | None = next(
+            (part for part in parts if isinstance(part, AccelerationChanger)), None
+        )
+        config = module.config.inference
+        self._name = (config.acceleration if config is not None else None) or ""
+        self._request = (0, self._name)
+        self._answered = 0
+        self._status.set_value("acceleration_in_place", self._changer is not None)
+        host.resources.callback(host.add_parameter(ACCELERATION_PARAMETER, self._name, self._take, self._refusal))
+        module.before_prediction.append(self._change_if_asked)
+
+    def _change_if_asked(self) -> None:
+        """Put what was asked for into force; between two predictions, on the thread that predicts."""
+        count, name = self._request
+        if count == self._answered or self._changer is None:
+            return
+        refused = ""
+        try:
+            if name != self._name:
+                self._changer.set_acceleration(self._made(name) if name else None)
+        except RoboNeuronError as error:
+            refused = str(error)
+        except Exception as error:  # the module border: plugins may raise anything
+            log.exception("the acceleration could not be changed")
+            refused = f"{type(error).__name__}: {error}"
+        else:
+            self._name = name
+        self._answered = count
+        self._status.set_value("acceleration", self._name)
+        self._status.set_value("acceleration_refused", refused)
+        self._status.set_value("acceleration_changed_ns", time.time_ns())
+        self._status.set_value("acceleration_answers", count)
+        self._status.changed.set()
+
+    def _made(self, name: str) -> AnyAcceleration:
+        spec = self._module.registry.get(AccelerationSpec, name)
+        return cast("AnyAcceleration", build(spec, self._module.config.options(name)))
+
+    def _refusal(self, _: str) -> str:
+        return "" if self._changer is not None else "the acceleration cannot be changed while the model is loaded"
+
+    def _take(self, name: str) -> None:
+        self._request = (self._request[0] + 1, name)

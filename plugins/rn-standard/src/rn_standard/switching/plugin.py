@@ -1,0 +1,17 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="switching",
+    summary="Replaces a running backend, camera source or controller while the robot moves.",
+    target="rn_standard.switching.feature:SwitchingFeature",
+    needs=("selection",),
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

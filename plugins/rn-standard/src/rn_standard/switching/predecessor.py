@@ -1,0 +1,61 @@
+"""What a module in shadow hears of its predecessor: what moves the arm, and where to, until the handover."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from rn_standard.switching.handover import TimedHandover
+from roboneuron import ACTION_SIZE, InvalidInputError, Pose
+from roboneuron.feature import ControlModule, InferenceModule, Module
+
+ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = "action", "ee_pose", "joint_command", "joint_trajectory"
+"""Topics of the contract, relative to the robot's namespace."""
+
+
+def follow_predecessor(module: Module, handover: TimedHandover) -> None:
+    """Listen until cleanup to what the predecessor of a module in shadow publishes."""
+    node = module.node
+    if isinstance(module, InferenceModule):
+        handover.period_s = lambda: module.executor.step_s
+        node.subscribe(Float64MultiArray, ACTION, partial(_on_action, module, handover))
+    elif isinstance(module, ControlModule):
+        is_state = module.config.control is not None and module.config.control.command == "joint_state"
+        commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
+        node.subscribe(PoseStamped, EE_POSE, partial(_on_pose, handover))
+        node.subscribe(*commands, partial(_on_command, module, handover))
+
+
+def _on_action(module: InferenceModule, handover: TimedHandover, message: Float64MultiArray) -> None:
+    """Count what moves the arm until this module does."""
+    if not handover.has_sent("action") and len(message.data) == ACTION_SIZE:
+        handover.hear_action()
+        module.executor.note_sent(np.array(message.data), time.monotonic(), module.node.now_ns())
+
+
+def _on_pose(handover: TimedHandover, message: PoseStamped) -> None:
+    p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
+    pose = Pose(
+        position_m=np.array([p.x, p.y, p.z]),
+        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
+        stamp_ns=stamp.sec * 10**9 + stamp.nanosec,
+    )
+    handover.hear(pose, time.monotonic())
+
+
+def _on_command(
+    module: ControlModule, handover: TimedHandover, message: JointTrajectory | JointState, info: dict[str, Any]
+) -> None:
+    """Go on from where the control before this one has sent the arm."""
+    sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)
+    try:
+        handover.hear(module.follow(message, sent_s), sent_s)
+    except InvalidInputError:
+        module.status.dropped.add("malformed_command")

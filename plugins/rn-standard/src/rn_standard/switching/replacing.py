@@ -1,0 +1,208 @@
+"""Replacement of one module by another, warm or cold, and the way back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rn_standard.selection.requests import StartInference, StartPerception
+from rn_standard.switching.in_place import AccelerationSwitch, differs_in_acceleration_only
+from rn_standard.switching.standby import JOIN
+from rn_standard.switching.switch_checks import CHECKS, SwitchCheck
+from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
+from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
+from roboneuron.feature import (
+    KIND_ENTRIES,
+    MODULE_KINDS,
+    ClosedLoop,
+    ModuleKind,
+    ModuleView,
+    Report,
+    Selection,
+    Stage,
+    running_selection,
+)
+
+SwitchMode = Literal["warm", "cold"]
+"""What a caller asks for."""
+SwitchWay = Literal["warm", "cold", "in place"]
+"""How it was done: a change that needs no other process is made in the running one, unless "cold" was asked for."""
+_FIRST_S = 3.0
+"""A newcomer hears of the next input within this time, on a busy machine too."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Switched:
+    """A module that took the place of another.
+
+    Attributes:
+        view: the new one.
+        replaced: what was chosen for the old one.
+        change: what the change-over did to the stream of its outputs.
+        took_s: the whole call, loading included.
+    """
+
+    view: ModuleView
+    replaced: dict[str, str]
+    mode: SwitchWay
+    change: Change
+    took_s: float
+
+
+class Switching:
+    """Replaces modules and remembers what was there before; usable from any thread.
+
+    Modules that are started before this is made can only be replaced cold: they know of no `TimedHandover`.
+    """
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        self.loop = loop
+        self._supervisor = loop.supervisor
+        if JOIN not in self._supervisor.on_join:
+            self._supervisor.on_join += (JOIN,)
+        self._before: dict[ModuleKind, Selection] = {}
+        self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
+
+    def switch(
+        self,
+        kind: ModuleKind,
+        request: Arguments,
+        mode: SwitchMode = "warm",
+        on_stage: Stage = lambda stage: None,
+        role: str = "",
+    ) -> Switched:
+        """Replace the running module of a kind, on the same topics.
+
+        The instruction of a backend and the cameras of a source are kept unless the request names others. What can be
+        refused beforehand is refused while the old module works; a warm switch that fails at any time leaves it at
+        work.
+
+        Raises:
+            StateError: none is running.
+            RoboNeuronError: warm, nothing was replaced; cold, nothing of that kind runs any more.
+        """
+        old = self._supervisor.require_running(kind)
+        ticket, instruction = self.loop.starts.ticket, self.loop.starts.instruction
+        selection = self.loop.select(kind, _keep(old, request), role)
+        if isinstance(request, StartInference):
+            if request.instruction:
+                self.loop.starts.permit()
+            selection = with_instruction(selection, request.instruction or instruction)
+            self.loop.check(selection)
+        if kind == "control":
+            check_same_commands(old, selection)
+        return self._replace(old, selection, mode, on_stage, ticket)
+
+    def roll_back(self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None) -> Switched:
+        """Go back to what ran before the last switch; a backend keeps the present instruction.
+
+        Raises:
+            StateError: there was no switch.
+            RoboNeuronError: as `switch`.
+        """
+        old = self._supervisor.require_running(kind)
+        selection = self._before.get(kind)
+        if selection is None:
+            raise StateError(f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet.")
+        ticket = self.loop.starts.ticket
+        if kind == "inference":
+            selection = with_instruction(selection, self.loop.starts.instruction)
+        self.loop.check(selection)
+        return self._replace(old, selection, mode, on_stage, ticket)
+
+    def _replace(
+        self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage, ticket: int
+    ) -> Switched:
+        started_s = time.monotonic()
+        if not self._busy[old.kind].acquire(blocking=False):
+            raise StateError(f"{old.kind} is already being replaced.", hint="Wait for the end of that call.")
+        try:
+            replaced = running_selection(old)
+            way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
+            self._before[old.kind] = replaced
+        finally:
+            self._busy[old.kind].release()
+        return Switched(
+            view=self._supervisor.view(old.kind),
+            replaced=dict(replaced.names),
+            mode=way,
+            change=change,
+            took_s=time.monotonic() - started_s,
+        )
+
+    def _change(
+        self,
+        old: ModuleView,
+        replaced: Selection,
+        selection: Selection,
+        mode: SwitchMode,
+        on_stage: Stage,
+        ticket: int,
+    ) -> tuple[SwitchWay, Change]:
+        if mode == "warm" and differs_in_acceleration_only(old, selection):
+            return "in place", AccelerationSwitch(self.loop, selection, on_stage).run()
+        check = CHECKS[old.kind](self.loop, selection)
+        if mode == "warm":
+            return mode, WarmSwitch(self.loop, selection, check, on_stage, ticket).run()
+        return mode, self._cold(replaced, selection, check, on_stage, ticket)
+
+    def _cold(
+        self, replaced: Selection, selection: Selection, check: SwitchCheck, on_stage: Stage, ticket: int
+    ) -> Change:
+        """Stop the old one, then start the new one: for a machine, or a device, that has no room for two."""
+        kind = check.kind
+        due = check.is_due()
+        on_stage(f"{kind}: stopping the old {check.noun}")
+        stopped = self._supervisor.stop(kind)
+        last = stopped.report if stopped is not None else None
+        if kind == "inference" and self.loop.starts.ticket != ticket:  # a stop, or the end of a task
+            selection = with_instruction(selection, self.loop.starts.instruction)
+            due = due and bool(self.loop.starts.instruction)
+        try:
+            self.loop.start_selected(selection, on_stage)
+        except RoboNeuronError as error:
+            before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
+            error.hint = f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
+            raise
+        changes = self._supervisor.changes
+        if due:  # a start is complete before the first output where that waits for somebody else's
+            changes.wait_for(lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new), _FIRST_S)
+        gap = changes.wait_for(lambda: check.measure(last, self._newest(kind)), ARRIVAL_S)
+        return Change(gap=gap, difference=None)
+
+    def _newest(self, kind: ModuleKind) -> Report | None:
+        return self._supervisor.view(kind).report
+
+
+def check_same_commands(old: ModuleView, selection: Selection) -> None:
+    """Two controllers that publish on different topics cannot hand the arm over.
+
+    Raises:
+        InvalidInputError: the type of the command topic would change.
+    """
+    assert old.choice is not None
+    before, after = old.choice.settings.config.control, selection.config.control
+    if before is not None and after is not None and before.command != after.command:
+        raise InvalidInputError(
+            f"The running controller sends {before.command}, the new one would send {after.command}.",
+            hint="Call stop_control and start_control instead.",
+        )
+
+
+def with_instruction(selection: Selection, text: str) -> Selection:
+    """The same with that instruction; the configured one counts only for whoever asks for a start of the policy."""
+    section = selection.config.inference
+    assert section is not None
+    config = selection.config.model_copy(update={"inference": section.model_copy(update={"instruction": text.strip()})})
+    return replace(selection, config=config)
+
+
+def _keep(old: ModuleView, request: Arguments) -> Arguments:
+    """The request, with what is kept from the running module where it names nothing else."""
+    assert old.choice is not None
+    if isinstance(request, StartPerception) and not request.cameras:
+        section = old.choice.settings.config.perception
+        return request.model_copy(update={"cameras": list(section.cameras) if section is not None else []})
+    return request

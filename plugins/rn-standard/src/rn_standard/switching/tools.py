@@ -1,0 +1,164 @@
+"""The tools that replace a running module by another one on the same topics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+from pydantic import Field, model_validator
+
+from rn_standard.selection.requests import StartControl, StartInference, StartPerception
+from rn_standard.switching.replacing import Switched, Switching
+from roboneuron import Arguments, CallContext, Tool
+from roboneuron.feature import (
+    KIND_ENTRIES,
+    MAX_INSTRUCTION_LENGTH,
+    ClosedLoop,
+    KindEntry,
+    ModuleKind,
+    ModuleSummary,
+    Stage,
+    module_summary,
+)
+
+S = TypeVar("S", bound="Switch")
+
+
+class Switch(Arguments):
+    """What every switch can be told."""
+
+    mode: Literal["warm", "cold"] = Field(
+        default="warm",
+        description="warm: try the new one beside the old one first; cold: stop the old one first.",
+    )
+    rollback: bool = Field(default=False, description="Back to what ran before; then nothing else may be named.")
+
+    @model_validator(mode="after")
+    def _check_rollback(self: S) -> S:
+        others = sorted(self.model_fields_set - {"mode", "rollback"})
+        if self.rollback and others:
+            raise ValueError(f"with rollback nothing else may be named, got {', '.join(others)}")
+        return self
+
+
+class SwitchInference(Switch, StartInference):
+    """Arguments of switch_inference."""
+
+    instruction: str | None = Field(
+        default=None, max_length=MAX_INSTRUCTION_LENGTH, description="What to do; the present one when omitted."
+    )
+
+
+class SwitchPerception(Switch, StartPerception):
+    """Arguments of switch_perception."""
+
+    cameras: list[str] = Field(
+        default_factory=list, description="Cameras of the robot to serve; those served now when omitted."
+    )
+
+
+class SwitchControl(Switch, StartControl):
+    """Arguments of switch_control."""
+
+
+class SwitchResult(ModuleSummary):
+    """The new module runs and has proved that it works."""
+
+    replaced: dict[str, str] = Field(description="what ran before")
+    mode: Literal["warm", "cold", "in place"] = Field(
+        description="how it was done; in place: the running process went on with another acceleration"
+    )
+    gap_s: float | None = Field(
+        default=None,
+        description="from the last output of the old one to the first of the new one, by the times at which they were "
+        "sent (actions of a backend, commands of a controller, images of a source, of the camera with the longest "
+        "gap); none when one of them sent nothing",
+    )
+    period_s: float | None = Field(default=None, description="time between the old one's outputs")
+    missed: int | None = Field(default=None, description="outputs left out in the old one's rhythm")
+    difference: float | None = Field(
+        default=None, description="how far the new actions, or commands, lay from the old ones in shadow [m or rad]"
+    )
+    took_s: float = Field(description="the whole call, loading included")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Text:
+    """What the agent reads of the switch tool of one kind."""
+
+    arguments: type[Switch]
+    title: str
+    description: str
+
+
+_TEXTS: Mapping[ModuleKind, _Text] = {
+    "inference": _Text(
+        arguments=SwitchInference,
+        title="Replace the policy",
+        description="Replace the running policy; robot, cameras and controller go on. What is not named comes from the "
+        "configuration; the instruction is kept. warm: the new policy is loaded beside the old one, tried without "
+        "moving anything, and takes over between two actions; if it fails, or would move very differently, the old one "
+        "goes on. cold: the arm holds meanwhile; after a failure no policy runs.",
+    ),
+    "perception": _Text(
+        arguments=SwitchPerception,
+        title="Replace the cameras' source",
+        description="Replace the running source of images; everything else goes on. warm: the new one must deliver "
+        "images of the same size before it takes over; otherwise the old one goes on. cold (for a device that only one "
+        "process can open): there are no images meanwhile; after a failure no source runs.",
+    ),
+    "control": _Text(
+        arguments=SwitchControl,
+        title="Replace the controller",
+        description="Replace the running controller, or change its options. warm: the new one answers the same actions "
+        "without moving anything before it takes over; if it fails, or its commands differ too much, the old one goes "
+        "on. cold: the arm holds meanwhile; after a failure no controller runs.",
+    ),
+}
+
+
+def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """One for each kind of module that can be replaced."""
+    switching = Switching(loop)
+    return [_switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()]
+
+
+def _switch_tool(loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text) -> Tool[Any]:
+    kind = entry.kind
+
+    async def handler(request: Switch, context: CallContext) -> SwitchResult:
+        def work(stage: Stage) -> Switched:
+            if request.rollback:
+                return switching.roll_back(kind, request.mode, stage)
+            return switching.switch(kind, request, request.mode, stage, context.role)
+
+        return switch_result(await context.run(work, on_cancel=lambda: loop.cancel(kind)))
+
+    return Tool(
+        name=f"switch_{kind}",
+        title=text.title,
+        description=text.description,
+        arguments=text.arguments,
+        result=SwitchResult,
+        handler=handler,
+        destructive=True,
+        open_world=True,
+        seldom=True,
+        offered=loop.takes_policies if kind == "inference" else lambda: True,
+    )
+
+
+def switch_result(switched: Switched) -> SwitchResult:
+    """How a switch went, as the agent reads it."""
+    change, gap = switched.change, switched.change.gap
+    return SwitchResult(
+        **module_summary(switched.view),
+        replaced=switched.replaced,
+        mode=switched.mode,
+        gap_s=round(gap.gap_s, 4) if gap is not None else None,
+        period_s=round(gap.period_s, 4) if gap is not None else None,
+        missed=gap.missed if gap is not None else None,
+        difference=round(change.difference, 4) if change.difference is not None else None,
+        took_s=round(switched.took_s, 3),
+    )

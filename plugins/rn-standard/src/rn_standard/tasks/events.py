@@ -1,0 +1,186 @@
+"""Events that clients can subscribe to, as resources: incidents, ends of tasks, a low battery, thresholds crossed."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any
+
+from rn_standard.direct_path.fields import check_path, load_type, read_value
+from rn_standard.tasks.options import EventOptions, ThresholdOptions
+from roboneuron import ConfigurationError, Host, InvalidInputError, Resource, RoboNeuronError
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView, check_topic
+
+log = logging.getLogger(__name__)
+URI = "roboneuron://events/"
+INCIDENTS, TASKS, BATTERY, THRESHOLDS = "incidents", "tasks", "battery", "thresholds"
+KINDS: Mapping[str, str] = {
+    INCIDENTS: "New incidents: a module that fails, stalls, falls silent or ends; restarts; lapsed leases.",
+    TASKS: "Tasks of run_task that have ended, with their outcomes.",
+    BATTERY: "A battery that became low, or is charged again.",
+    THRESHOLDS: "Crossings of the thresholds in [events.thresholds] of the configuration.",
+}
+"""What there is, with one line for agents."""
+_AGAIN_S = 5.0
+"""The same incident of the same module within this time is one."""
+_CHARGED = 0.05
+"""So far above the limit a battery is charged again."""
+
+
+def check_thresholds(options: EventOptions) -> None:
+    """Check the topics, types and fields of `[events]` before anything is subscribed to.
+
+    Raises:
+        InvalidInputError, ConfigurationError: one cannot be.
+    """
+    check_topic(options.battery_topic)
+    for name, threshold in options.thresholds.items():
+        try:
+            check_topic(threshold.topic)
+            check_path(load_type(threshold.type), threshold.field)
+        except (ConfigurationError, InvalidInputError) as error:
+            raise InvalidInputError(f"[events.thresholds.{name}]: {error.message}", hint=error.hint) from error
+
+
+class Crossing:
+    """Tells when a value crosses a limit; after that, not before it has come back by the hysteresis.
+
+    Args:
+        above, below: it happens above the one, and below the other; None for no such limit.
+        hysteresis: how far it must come back.
+    """
+
+    def __init__(self, above: float | None, below: float | None, hysteresis: float = 0.0) -> None:
+        self._above = math.inf if above is None else above
+        self._below = -math.inf if below is None else below
+        self._hysteresis = hysteresis
+        self.is_beyond = False
+
+    def observe(self, value: float) -> bool:
+        """Take the next value; True when `is_beyond` has changed. NaN changes nothing."""
+        if self.is_beyond:
+            back = self._below + self._hysteresis <= value <= self._above - self._hysteresis
+            self.is_beyond = not back
+            return back
+        beyond = value > self._above or value < self._below
+        self.is_beyond = beyond
+        return beyond
+
+
+class EventLog:
+    """The newest events of each kind. Usable from any thread.
+
+    Args:
+        kept: how many of each kind.
+        tell: given the URI of the resource that has changed.
+    """
+
+    def __init__(self, kept: int, tell: Callable[[str], object]) -> None:
+        self._lock = threading.Lock()
+        self._kept = {kind: deque[dict[str, Any]](maxlen=kept) for kind in KINDS}
+        self._count = 0
+        self._tell = tell
+
+    def add(self, kind: str, **facts: Any) -> None:
+        """Something happened; `facts` are what JSON can hold."""
+        with self._lock:
+            self._count += 1
+            at = datetime.now(UTC).isoformat(timespec="milliseconds")
+            self._kept[kind].append({"number": self._count, "at": at, **facts})
+        self._tell(URI + kind)
+
+    def read(self, kind: str) -> str:
+        """The events as JSON, newest last."""
+        with self._lock:
+            return json.dumps({"events": list(self._kept[kind])}, indent=1)
+
+    def resources(self) -> Sequence[Resource]:
+        """One for each kind."""
+        return [
+            Resource(
+                uri=URI + kind,
+                name=f"events: {kind}",
+                title=f"Events: {kind}",
+                description=f"{text} Subscribe to be told; the newest are kept.",
+                read=partial(self.read, kind),
+                mime_type="application/json",
+            )
+            for kind, text in KINDS.items()
+        ]
+
+
+class Watching:
+    """Turns what happens in the server, and on topics, into events.
+
+    Args:
+        host, options: of the feature.
+        events: where they go.
+    """
+
+    def __init__(self, host: Host, options: EventOptions, events: EventLog) -> None:
+        self._host = host
+        self._options = options
+        self._events = events
+        self._seen: dict[tuple[str, str], float] = {}
+        self._ends: list[Callable[[], None]] = []
+        host.events.health.listen(self._on_health)
+        host.events.fault.listen(self._on_fault)
+
+    def start(self) -> None:
+        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type is not installed."""
+        if self._options.battery_low > 0:
+            low = Crossing(None, self._options.battery_low, _CHARGED)
+            kind = load_type("sensor_msgs/msg/BatteryState")
+            self._ends.append(
+                self._host.subscribe(kind, self._options.battery_topic, partial(self._on_battery, low), latched=True)
+            )
+        for name, threshold in self._options.thresholds.items():
+            crossing = Crossing(threshold.above, threshold.below, threshold.hysteresis)
+            take = partial(self._on_message, name, threshold, crossing)
+            self._ends.append(self._host.subscribe(load_type(threshold.type), threshold.topic, take))
+
+    def close(self) -> None:
+        """Subscribe no more; idempotent."""
+        while self._ends:
+            try:
+                self._ends.pop()()
+            except RoboNeuronError as error:
+                log.debug("A subscription is gone already: %s", error)
+
+    def _on_health(self, view: ModuleView, before: Health, health: Health) -> None:
+        if health in FAULTS:
+            error = view.report.error if view.report is not None and view.report.error_code else ""
+            self._incident(view.kind, health, EXPLANATIONS[health], error)
+
+    def _on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+        self._incident(module, what, str(facts.get("explanation", "")), "")
+
+    def _incident(self, module: str, what: str, explanation: str, error: str) -> None:
+        now_s = time.monotonic()
+        again = now_s - self._seen.get((module, what), -math.inf) < _AGAIN_S
+        self._seen[module, what] = now_s
+        if not again:
+            self._events.add(INCIDENTS, module=module, what=what, explanation=explanation, error=error)
+
+    def _on_battery(self, low: Crossing, message: Any) -> None:
+        share = float(message.percentage)
+        if low.observe(share):
+            self._events.add(BATTERY, low=low.is_beyond, charge=round(share, 3), limit=self._options.battery_low)
+
+    def _on_message(self, name: str, threshold: ThresholdOptions, crossing: Crossing, message: Any) -> None:
+        try:
+            value = float(read_value(message, threshold.field))
+        except (LookupError, TypeError, ValueError) as error:
+            if (name, "field") not in self._seen:
+                self._seen[name, "field"] = time.monotonic()
+                log.error("The threshold %r cannot be watched: %s", name, error)
+            return
+        if crossing.observe(value):
+            self._events.add(THRESHOLDS, name=name, beyond=crossing.is_beyond, value=value, topic=threshold.topic)

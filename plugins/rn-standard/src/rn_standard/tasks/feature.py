@@ -1,0 +1,138 @@
+"""The feature: tools of tasks, events as resources, prompts."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_standard.selection.options import named_models
+from rn_standard.tasks.approval import Approval
+from rn_standard.tasks.arbiter import TaskArbiter
+from rn_standard.tasks.events import TASKS, EventLog, Watching, check_thresholds
+from rn_standard.tasks.examples import EXAMPLES
+from rn_standard.tasks.inputs import Inputs, pose_of
+from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
+from rn_standard.tasks.moving import Mover, Places, check_places, move_to_tool
+from rn_standard.tasks.options import TasksSections
+from rn_standard.tasks.predicates import ADAPTER
+from rn_standard.tasks.prompts import offer_prompts
+from rn_standard.tasks.run_task import TaskTool, run_task_tool
+from rn_standard.tasks.runner import TaskEnd
+from rn_standard.tasks.task_calls import TaskCalls
+from roboneuron import (
+    ConfigurationError,
+    Feature,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    Resource,
+    Tool,
+    matrix_from_quaternion,
+)
+from roboneuron.feature import Config
+
+F64 = NDArray[np.float64]
+PREDICATES_URI = "roboneuron://tasks/predicates"
+_CLOSE_S = 3.0
+_POSE_S = 2.0
+
+
+class TasksFeature(Feature[TasksSections]):
+    """Adds start_all, list_models, run_task, move_to, events as resources, and prompts."""
+
+    _arbiter: TaskArbiter | None = None
+    _watching: Watching | None = None
+
+    def check(self, config: Config) -> None:
+        """See `Feature.check`."""
+        try:
+            check_places(self.options)
+            check_thresholds(self.options.events)
+        except InvalidInputError as error:
+            raise ConfigurationError(error.message, hint=error.hint) from error
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See `Feature.tools`."""
+        self._host = host
+        arbiter = self._arbiter = TaskArbiter()
+        host.tools.add_admission(arbiter.admit)
+        host.events.stop.listen(lambda kind: arbiter.end(f"{kind} was stopped"))
+        self._events = EventLog(self.options.events.kept, host.events.resource.tell)
+        self._watching = Watching(host, self.options.events, self._events)
+        approval = Approval(self.options.tasks)
+        places = Places(host, self.options)
+        mover = Mover(host, places, self._pose_now)
+        task = TaskTool(host, self.options.tasks, arbiter, approval, mover, places.choices, self._note_end)
+        return [
+            start_all_tool(host),
+            run_task_tool(task),
+            move_to_tool(mover, places, approval),
+            *([list_models_tool(host)] if named_models(host.config) else []),
+        ]
+
+    def resources(self, host: Host) -> Sequence[Resource]:
+        """See `Feature.resources`."""
+        return [
+            Resource(
+                uri=PREDICATES_URI,
+                name="predicates",
+                title="Predicates for run_task",
+                description="Examples, installed monitors with their options, and the JSON schema of `until`.",
+                read=self._predicates,
+                mime_type="application/json",
+            ),
+            *self._events.resources(),
+        ]
+
+    def attach(self, host: Host) -> None:
+        """See `Feature.attach`."""
+        offer_prompts(host.server)
+        host.server.middleware.insert(1, TaskCalls())  # around those of other features: they see the call itself
+
+    def start(self, host: Host) -> None:
+        """See `Feature.start`."""
+        if self._watching is not None:
+            self._watching.start()
+
+    def close(self) -> None:
+        """End the task that may be running, and all subscriptions."""
+        if self._arbiter is not None:
+            self._arbiter.end("the server ends", _CLOSE_S)
+        if self._watching is not None:
+            self._watching.close()
+
+    def _note_end(self, instruction: str, end: TaskEnd) -> None:
+        self._events.add(
+            TASKS,
+            instruction=instruction,
+            outcome=end.outcome,
+            attempts=end.attempts,
+            reason=end.reason,
+            took_s=round(end.took_s, 3),
+        )
+
+    def _predicates(self) -> str:
+        monitors = {name: spec.summary for name, spec in self._host.registry.specs("monitor").items()}
+        return json.dumps({"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1)
+
+    def _pose_now(self) -> tuple[F64, F64]:
+        self._host.supervisor.require_running("control")
+        inputs, topic = Inputs(self._host), f"/{self._host.config.namespace}/ee_pose"
+        inputs.open(topic, "geometry_msgs/msg/PoseStamped")
+        try:
+            deadline_s = time.monotonic() + _POSE_S
+            while (pose := pose_of(inputs.newest(topic))) is None:
+                if time.monotonic() > deadline_s:
+                    raise NotReadyError(
+                        f"Control runs, but no pose of the end effector came within {_POSE_S:g} s.",
+                        hint="The machine may be overloaded: see get_status, and call again.",
+                    )
+                time.sleep(0.01)
+        finally:
+            inputs.close()
+        return pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)

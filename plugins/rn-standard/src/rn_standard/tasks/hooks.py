@@ -1,0 +1,37 @@
+"""The hook for monitors: what they are, and their descriptor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from roboneuron import Spec, hookspec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MonitorSpec(Spec):
+    """A detector that judges from observations whether something has come about.
+
+    Attributes:
+        cameras: roles it needs a frame of.
+        optional_cameras: roles it uses when the robot has them.
+    """
+
+    kind: ClassVar[str] = "monitor"
+    rules: ClassVar[str] = "rn_standard.tasks.contract_cases:KIND"
+
+    cameras: tuple[str, ...] = ()
+    optional_cameras: tuple[str, ...] = ()
+
+
+@hookspec
+def roboneuron_monitors() -> Sequence[MonitorSpec]:  # type: ignore[empty-body]
+    """Offer detectors for the predicates of tasks.
+
+    `target` follows the protocol `rn_standard.tasks.monitor.Monitor`; it is built as `target(config)` for each task.
+    """
+
+
+HOOKS = {"roboneuron_monitors": MonitorSpec}
+"""Descriptor class by hook."""

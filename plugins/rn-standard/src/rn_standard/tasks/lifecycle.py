@@ -1,0 +1,137 @@
+"""start_all and list_models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.selection.choosing import choose
+from rn_standard.selection.options import ModelConfig, named_models
+from rn_standard.selection.requests import StartInference
+from rn_standard.tasks.starting import ParallelStart, requests_for
+from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
+from roboneuron.feature import MAX_INSTRUCTION_LENGTH, ModuleKind, ModuleSummary, Registry, module_summary
+
+
+class StartAll(Arguments):
+    """Arguments of start_all."""
+
+    instruction: str | None = Field(
+        default=None,
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description='What to do at once, such as "pick up the red cube"; without it nothing moves yet.',
+    )
+    model: str | None = Field(
+        default=None, description="Name of a model in the configuration; the configured policy when omitted."
+    )
+
+
+class StartAllResult(Result):
+    """Everything that is configured runs and has proved that it works."""
+
+    started: list[ModuleSummary]
+    already: list[ModuleKind] = Field(description="ran before")
+    ready_after_s: dict[str, float] = Field(description="from the call to the proof of each module")
+    took_s: float
+
+
+class ModelInfo(Result):
+    """One model of the configuration."""
+
+    name: str = Field(description="for start_inference, switch_inference and start_all")
+    summary: str
+    backend: str
+    checkpoint: str | None = Field(default=None, description="directory of its files")
+    runtime: str | None = None
+    preset: str | None = None
+    installed: bool = Field(description="everything that it names is installed and its files exist")
+    problem: str = Field(default="", description="why it cannot be used")
+    running: bool
+
+
+class Models(Result):
+    """What can be chosen by name."""
+
+    models: list[ModelInfo]
+
+
+def start_all_tool(host: Host) -> Tool[Any]:
+    """start_all."""
+
+    async def handler(arguments: StartAll, context: CallContext) -> StartAllResult:
+        model = None if arguments.model is None else StartInference(model=arguments.model, options={})
+        start = ParallelStart(host.loop, requests_for(arguments.instruction, model), context.role)
+        done = await context.run(start.run, on_cancel=start.cancel)
+        return StartAllResult(
+            started=[ModuleSummary(**module_summary(view)) for view in done.views],
+            already=list(done.already),
+            ready_after_s={kind: round(took_s, 3) for kind, took_s in sorted(done.took_s.items())},
+            took_s=round(done.total_s, 3),
+        )
+
+    return Tool(
+        name="start_all",
+        title="Start everything",
+        description="Start everything that is configured and does not run yet: robot, cameras, controller and policy, "
+        f"side by side. The robot is the {host.loop.robot_facts}. Returns when everything works; if something fails, "
+        "what this call started is stopped again. Then call run_task.",
+        arguments=StartAll,
+        result=StartAllResult,
+        handler=handler,
+        open_world=True,
+    )
+
+
+def list_models_tool(host: Host) -> Tool[Any]:
+    """list_models."""
+
+    async def handler(_: NoArguments, context: CallContext) -> Models:
+        view = host.supervisor.view("inference")
+        running = view.choice.names.get("model") if view.choice is not None and view.phase == "running" else None
+        return await context.run(
+            lambda _: Models(
+                models=[_info(name, model, host, name == running) for name, model in named_models(host.config).items()]
+            )
+        )
+
+    return Tool(
+        name="list_models",
+        title="Models by name",
+        description="Policies that the configuration names, for `model` of start_inference, switch_inference and "
+        "start_all.",
+        arguments=NoArguments,
+        result=Models,
+        handler=handler,
+        read_only=True,
+        idempotent=True,
+    )
+
+
+def _info(name: str, model: ModelConfig, host: Host, running: bool) -> ModelInfo:
+    problem = _problem(name, host)
+    return ModelInfo(
+        name=name,
+        summary=model.summary or _summary(host.registry, model.backend),
+        backend=model.backend,
+        checkpoint=model.checkpoint,
+        runtime=model.runtime,
+        preset=model.preset,
+        installed=not problem,
+        problem=problem,
+        running=running,
+    )
+
+
+def _problem(name: str, host: Host) -> str:
+    try:
+        choose("inference", host.config, host.registry, StartInference(model=name, options={}))
+    except RoboNeuronError as error:
+        return str(error)
+    return ""
+
+
+def _summary(registry: Registry, backend: str) -> str:
+    specs: Mapping[str, Any] = registry.specs("backend")
+    return specs[backend].summary if backend in specs else ""

@@ -1,0 +1,256 @@
+"""The robot of a task: the closed loop of this server, and what it publishes."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+
+from rn_standard.selection.requests import StartInference
+from rn_standard.tasks.inputs import Inputs, pose_of
+from rn_standard.tasks.runner import PolicyState
+from rn_standard.tasks.snapshot import Snapshot, StillClock
+from roboneuron import Frame, Host, InvalidInputError, NotReadyError, Picture, RefusedError, RobotProfile
+from roboneuron.feature import ModuleKind, ModuleView, Report, Stage
+
+_TOLD_S = 5.0
+_IMAGES_S = 3.0
+_QUALITY = 85
+_DONE = ("backend.done", "done")
+
+
+class LiveCell:
+    """Follows the protocol `Cell`.
+
+    Args:
+        host: the server.
+        profile: of the robot; None for one that no plugin describes.
+        role: of the caller.
+        stage: told how a start of the policy goes.
+        halt: set when the task is to end.
+        why: says who has ended it; empty for the caller.
+        topics: type by topic, of those that predicates name.
+        cameras: names of the cameras that predicates or evidence need.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        profile: RobotProfile | None,
+        role: str,
+        stage: Stage,
+        halt: threading.Event,
+        why: Callable[[], str],
+        topics: Mapping[str, str],
+        cameras: Iterable[str],
+    ) -> None:
+        self._host = host
+        self._profile = profile
+        self._role = role
+        self._stage = stage
+        self._halt = halt
+        self._why = why
+        self._starts = host.loop.starts
+        self._topics = dict(topics)
+        self._cameras = list(cameras)
+        self._inputs = Inputs(host)
+        self._still = StillClock()
+        self._instruction = ""
+        self._count = self._errors = self._ticket = 0
+        self._pid: int | None = None
+        self._stops: int | None = None
+        self._needed: tuple[ModuleKind, ...] = ()
+        self._starting = False
+
+    def open(self) -> None:
+        """Listen to what is needed; waits a moment for the cameras' first images.
+
+        Raises:
+            RoboNeuronError: ROS cannot be joined, or a topic's type is not installed.
+        """
+        space = self._host.config.namespace
+        self._inputs.open(f"/{space}/joint_states", "sensor_msgs/msg/JointState")
+        self._inputs.open(f"/{space}/ee_pose", "geometry_msgs/msg/PoseStamped")
+        for topic, type_name in self._topics.items():
+            self._inputs.open(topic, type_name)
+        for camera in self._cameras:
+            self._inputs.open(self._image_topic(camera), "sensor_msgs/msg/Image")
+        wanted = [self._image_topic(camera) for camera in self._cameras]
+        deadline_s = time.monotonic() + _IMAGES_S
+        while time.monotonic() < deadline_s and any(self._inputs.last(topic) is None for topic in wanted):
+            if self._halt.wait(0.02):
+                return
+
+    def close(self) -> None:
+        """Listen no more; idempotent."""
+        self._inputs.close()
+
+    def now_s(self) -> float:
+        """See `Cell`."""
+        return time.monotonic()
+
+    def wait(self, seconds: float) -> bool:
+        """See `Cell`."""
+        return self._halt.wait(seconds)
+
+    def begin(self, instruction: str) -> None:
+        """See `Cell`. A backend that does not run is started, and waits for the instruction.
+
+        Raises:
+            StateError: there was a stop since the task has begun; motion needs a new start.
+        """
+        self._check_not_latched()
+        if self._stops is None:
+            self._stops = self._starts.permit()
+        if self._host.supervisor.view("inference").phase != "running":
+            self._start_policy()
+        self._starts.check(self._stops)
+        view = self._host.supervisor.require_running("inference")
+        report = view.report
+        self._count = report.instruction_count if report is not None else 0
+        self._errors = report.error_count if report is not None else 0
+        self._pid = view.process.pid if view.process is not None else None
+        self._needed = tuple(view.kind for view in self._host.supervisor.views() if view.phase == "running")
+        if self._halt.is_set():
+            return
+        self._instruction = instruction
+        self._ticket, refused = self._starts.give(instruction, _TOLD_S)
+        if refused:
+            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
+
+    def _start_policy(self) -> None:
+        """Without the instruction of the configuration, which nobody has asked for."""
+        loop = self._host.loop
+        self._starting = True
+        try:
+            selection = loop.select("inference", StartInference(options={}), self._role)
+            section = selection.config.inference
+            assert section is not None
+            section = section.model_copy(update={"instruction": ""})
+            selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
+            loop.start_selected(selection, self._stage)
+        finally:
+            self._starting = False
+
+    def cancel(self) -> None:
+        """End a start of the policy that `begin` waits for; callable from any thread, returns at once."""
+        if self._starting:
+            self._host.loop.cancel("inference")
+
+    def policy(self) -> PolicyState:
+        """See `Cell`."""
+        if self._host.loop.emergency_stop.is_latched():
+            cause = self._host.loop.emergency_stop.cause()
+            return PolicyState(has_acted=False, taken=f"the emergency stop is latched{f' ({cause})' if cause else ''}")
+        if taken := self._why() or self._lost():
+            return PolicyState(has_acted=False, taken=taken)
+        view = self._host.supervisor.view("inference")
+        report = self._report_of_this(view)
+        if report is None:
+            return PolicyState(has_acted=False)
+        errors = self._errors if self._is_same(view) else 0
+        failure = report.failure() if report.error_count > errors else None
+        told = "" if failure is None or isinstance(failure, NotReadyError) else str(failure)
+        return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told)
+
+    def _lost(self) -> str:
+        """Which module the task has lost, or what has ended its instruction; empty while it has all it needs."""
+        if self._stops is None:
+            return ""
+        for kind in self._needed:
+            slot = self._host.supervisor.slot(kind)
+            if slot.phase == "exited" and slot.exit is not None:
+                code = slot.exit.code
+                return f"{kind} has ended by itself ({f'signal {-code}' if code < 0 else f'exit code {code}'})"
+            if slot.phase != "running":
+                return f"{kind} was stopped (it is {slot.phase})"
+        if self._starts.stops != self._stops:
+            return f"there was a stop: {self._starts.reason}"
+        if self._instruction and self._starts.ticket != self._ticket:
+            return f"somebody else gave the instruction {self._starts.instruction!r}"
+        return ""
+
+    def look(self) -> Snapshot:
+        """See `Cell`."""
+        space, now_s = self._host.config.namespace, time.monotonic()
+        message = self._inputs.newest(f"/{space}/joint_states")
+        joints: dict[str, float] | None = None
+        effort: dict[str, float] = {}
+        if message is not None:
+            joints = {str(name): float(value) for name, value in zip(message.name, message.position, strict=False)}
+            effort = {str(name): float(value) for name, value in zip(message.name, message.effort, strict=False)}
+        gripper = self._profile.gripper if self._profile is not None else None
+        opening = None
+        if gripper is not None and joints is not None and gripper.joint in joints:
+            opening = gripper.to_opening(joints[gripper.joint])
+        return Snapshot(
+            now_s=now_s,
+            joints=joints,
+            effort=effort,
+            tcp=pose_of(self._inputs.newest(f"/{space}/ee_pose")),
+            gripper_open=opening,
+            still_s=None if joints is None else self._still.observe(now_s, joints),
+            policy_done=self._done(),
+            frames=self._frames(),
+            messages={topic: self._inputs.last(topic) for topic in self._topics},
+        )
+
+    def end(self) -> None:
+        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps it is ended."""
+        if self._instruction:
+            self._instruction = ""
+            self._starts.withdraw(self._ticket)
+
+    def evidence(self) -> tuple[Picture, ...]:
+        """See `Cell`."""
+        frames = [frame for camera in self._cameras if (frame := self._frame(camera)) is not None]
+        return tuple(_jpeg(frame) for frame in frames)
+
+    def _report_of_this(self, view: ModuleView) -> Report | None:
+        """The newest report, once it is of the instruction that was given last; also of a policy switched to since."""
+        report = view.report
+        if report is None or report.instruction != self._instruction:
+            return None
+        return report if report.instruction_count > self._count or not self._is_same(view) else None
+
+    def _is_same(self, view: ModuleView) -> bool:
+        """Whether the policy is the process that was given the instruction."""
+        return view.process is not None and view.process.pid == self._pid
+
+    def _done(self) -> bool | None:
+        report = self._report_of_this(self._host.supervisor.view("inference"))
+        if not self._instruction or report is None or report.actions_for_instruction == 0:
+            return None
+        said = next((report.metrics[name] for name in _DONE if name in report.metrics), "")
+        try:
+            return float(said) >= 0.5 if said else None
+        except ValueError:
+            return None
+
+    def _check_not_latched(self) -> None:
+        if self._host.loop.emergency_stop.is_latched():
+            raise RefusedError(
+                "The emergency stop is latched: nothing would move.",
+                hint="A person releases it: see reset_emergency_stop.",
+            )
+
+    def _frames(self) -> dict[str, Frame]:
+        roles = self._host.loop.camera_roles()
+        found = {roles.get(camera, camera): self._frame(camera) for camera in self._cameras}
+        return {role: frame for role, frame in found.items() if frame is not None}
+
+    def _image_topic(self, camera: str) -> str:
+        return f"/{self._host.config.namespace}/camera/{camera}/image"
+
+    def _frame(self, camera: str) -> Frame | None:
+        return self._inputs.frame(self._image_topic(camera), camera, self._profile)
+
+
+def _jpeg(frame: Frame) -> Picture:
+    from PIL import Image as Pillow  # heavy
+
+    buffer = io.BytesIO()
+    Pillow.fromarray(frame.image).save(buffer, "JPEG", quality=_QUALITY)
+    return Picture(data=buffer.getvalue(), mime_type="image/jpeg")

@@ -1,0 +1,179 @@
+"""move_to: named postures and places of the robot, gone to by the tools of the arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rn_standard.tasks.approval import Approval
+from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
+from rn_standard.tasks.run_task import profile_of
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    RefusedError,
+    Result,
+    StateError,
+    Tool,
+    matrix_from_quaternion,
+    rotvec_from_matrix,
+)
+
+HOME = "home"
+"""The robot's own safe posture, unless the configuration gives it another one."""
+_MOST_M, _MOST_RAD = 0.3, 1.2
+"""Longest straight part, and turn, of a move to a place."""
+_PARTS = 32
+_THERE_M, _THERE_RAD = 0.004, 0.02
+F64 = NDArray[np.float64]
+PoseNow = Callable[[], tuple[F64, F64]]
+"""Waits for the measured TCP pose: position (3,) [m] and rotation (3, 3) in the base frame."""
+
+
+class MoveToArguments(Arguments):
+    """Arguments of move_to."""
+
+    name: str = Field(description="Where to.")
+
+
+class MovedTo(Result):
+    """The arm was measured there."""
+
+    name: str
+    kind: str = Field(description="posture or place")
+    error: float = Field(description="largest distance from a joint's target [rad or m], or of the TCP [m]")
+    took_s: float
+
+
+class Places:
+    """The postures and places that move_to knows."""
+
+    def __init__(self, host: Host, options: TasksSections) -> None:
+        self._host = host
+        self._options = options
+
+    def postures(self) -> dict[str, PostureOptions]:
+        """Those of the configuration, and the robot's own home."""
+        profile = profile_of(self._host)
+        own: dict[str, PostureOptions] = {}
+        if profile is not None and profile.home_rad is not None:
+            joints = dict(zip(profile.arm_joints, profile.home_rad.tolist(), strict=True))
+            own[HOME] = PostureOptions(joints=joints, summary="the robot's own safe posture")
+        return own | self._options.postures
+
+    def places(self) -> Mapping[str, PlaceOptions]:
+        """Those of the configuration."""
+        return self._options.places
+
+    def choices(self) -> dict[str, str]:
+        """Summary by name."""
+        postures = {name: posture.summary for name, posture in self.postures().items()}
+        return postures | {name: place.summary for name, place in self.places().items()}
+
+
+class Mover:
+    """Goes to a posture or a place, by calling move_joints or move_ee as the same client."""
+
+    def __init__(self, host: Host, places: Places, pose_now: PoseNow) -> None:
+        self._host = host
+        self._places = places
+        self._pose_now = pose_now
+
+    async def __call__(self, name: str, context: CallContext) -> MovedTo:
+        """Go there.
+
+        Raises:
+            InvalidInputError: no such name.
+            NotReadyError: the tool that moves the arm is not there.
+            RoboNeuronError: as move_joints and move_ee.
+        """
+        postures, places = self._places.postures(), self._places.places()
+        if name in postures:
+            answer = await self._call("move_joints", {"positions": dict(postures[name].joints)}, context)
+            return MovedTo(name=name, kind="posture", error=answer["error"], took_s=answer["duration_s"])
+        if name in places:
+            return await self._to_place(name, places[name], context)
+        known = ", ".join({**postures, **places}) or "none; a person adds them as [postures.<name>] or [places.<name>]"
+        raise InvalidInputError(
+            f"There is no posture or place {name[:64]!r}.", hint=f"There are: {known}.", path="name"
+        )
+
+    async def _to_place(self, name: str, place: PlaceOptions, context: CallContext) -> MovedTo:
+        """Along straight parts, each by what is measured at its begin."""
+        took_s, stops = 0.0, self._host.loop.starts.arm_stops
+        gripper = {} if place.gripper_open is None else {"gripper_open": place.gripper_open}
+        for _ in range(_PARTS):
+            position, rotation = await context.run(lambda _: self._pose_now())
+            if self._host.loop.starts.arm_stops != stops:
+                raise StateError(f"It was stopped on its way to {name!r}: {self._host.loop.starts.reason}.")
+            delta, turn = self._left(place, position, rotation)
+            far_m, far_rad = float(np.linalg.norm(delta)), float(np.linalg.norm(turn))
+            share = min(1.0, _MOST_M / max(far_m, 1e-9), _MOST_RAD / max(far_rad, 1e-9))
+            if far_m < _THERE_M and far_rad < _THERE_RAD:
+                if gripper:
+                    took_s += (await self._call("move_ee", gripper, context))["duration_s"]
+                return MovedTo(name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3))
+            axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
+            part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
+            took_s += (await self._call("move_ee", part, context))["duration_s"]
+        raise NotReadyError(f"The TCP does not come to {name!r}; it stands {far_m * 1000:.0f} mm off.")
+
+    def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
+        delta: F64 = np.array(place.position_m) - position
+        if place.quaternion_xyzw is None:
+            return delta, np.zeros(3)
+        wanted = np.array(place.quaternion_xyzw)
+        return delta, rotvec_from_matrix(matrix_from_quaternion(wanted / np.linalg.norm(wanted)) @ rotation.T)
+
+    async def _call(self, tool_name: str, arguments: dict[str, Any], context: CallContext) -> dict[str, Any]:
+        tool = self._host.tools.get(tool_name)
+        if tool is None:
+            raise NotReadyError(f"There is no tool {tool_name} now.", hint="It comes with rn-tools-arm and an arm.")
+        answer = await tool.call(arguments, context)
+        if not answer.structured.get("allowed", True) or answer.structured.get("dry_run"):
+            raise RefusedError(f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}.")
+        return dict(answer.structured)
+
+
+def check_places(options: TasksSections) -> None:
+    """Refuse names that mean two things, and orientations of no length.
+
+    Raises:
+        RoboNeuronError: InvalidInputError that names which.
+    """
+    for name in {*options.postures} & {*options.places}:
+        raise InvalidInputError(f"{name!r} is a posture and a place.")
+    for name in {*options.postures, *options.places} & {"hold", "stop"}:
+        raise InvalidInputError(f"{name!r} cannot be a name: run_task uses it for on_end.")
+    for name, place in options.places.items():
+        if place.quaternion_xyzw is not None and not 0.5 < math.dist((0, 0, 0, 0), place.quaternion_xyzw) < 2.0:
+            raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
+
+
+def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[Any]:
+    """move_to."""
+
+    async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
+        if arguments.name in places.choices():
+            await approval.ask("move_to", f"Let the robot move to {arguments.name!r}?", context)
+        return await mover(arguments.name, context)
+
+    return Tool(
+        name="move_to",
+        title="Move to a named posture or place",
+        description="Move the arm to a named posture, or in straight lines to a named place (needs start_control). "
+        "Refused while a policy runs: stop_inference first. Returns when it is measured there.",
+        arguments=MoveToArguments,
+        result=MovedTo,
+        handler=handler,
+        open_world=True,
+        choices={"name": places.choices},
+    )

@@ -1,0 +1,73 @@
+"""What this package offers; standard library and descriptors only."""
+
+from __future__ import annotations
+
+from rn_standard.tasks.hooks import MonitorSpec
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="tasks",
+    summary="Tasks with outcomes, start and stop in one call, named postures and places, events to subscribe to.",
+    target="rn_standard.tasks.feature:TasksFeature",
+    config="rn_standard.tasks.options:TasksSections",
+    sections=("tasks", "postures", "places", "events"),
+    hooks="rn_standard.tasks.hooks:HOOKS",
+    needs=("selection",),
+)
+"""Descriptor of the feature."""
+
+
+def _monitor(
+    name: str, summary: str, target: str, options: str, case: str, *, optional: tuple[str, ...]
+) -> MonitorSpec:
+    """One that looks at the camera in front and, where there are any, at the optional ones."""
+    return MonitorSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_standard.tasks.detectors:{target}",
+        config=f"rn_standard.tasks.detectors:{options}",
+        cameras=("primary",),
+        optional_cameras=optional,
+        case=f"rn_standard.tasks.contract_cases:{case}",
+    )
+
+
+MONITORS = (
+    _monitor(
+        "colour-lifted",
+        "An object of a colour is above where it lay; needs two calibrated cameras.",
+        "ColourLifted",
+        "LiftedOptions",
+        "lifted_case",
+        optional=("wrist",),
+    ),
+    _monitor(
+        "object-in-region",
+        "An object of a colour is in a box of the base frame.",
+        "ObjectInRegion",
+        "RegionOptions",
+        "region_case",
+        optional=("wrist",),
+    ),
+    _monitor(
+        "scene-changed",
+        "The picture is not as it was before, with the arm back where it was.",
+        "SceneChanged",
+        "ChangedOptions",
+        "changed_case",
+        optional=(),
+    ),
+)
+"""Descriptors of the monitors."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
+
+
+@hookimpl
+def roboneuron_monitors() -> tuple[MonitorSpec, ...]:
+    """The monitors of this package."""
+    return MONITORS

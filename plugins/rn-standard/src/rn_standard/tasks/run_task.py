@@ -1,0 +1,277 @@
+"""run_task: the tool."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal, cast
+
+from pydantic import Field
+
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.direct_path.fields import check_path, load_type
+from rn_standard.tasks.approval import Approval
+from rn_standard.tasks.arbiter import TaskArbiter
+from rn_standard.tasks.hooks import MonitorSpec
+from rn_standard.tasks.judging import Judge
+from rn_standard.tasks.live import LiveCell
+from rn_standard.tasks.monitor import Monitor, RememberingMonitor
+from rn_standard.tasks.options import TaskOptions
+from rn_standard.tasks.predicates import UNTIL, FieldIs, MonitorSays, Predicate, flat, parse_predicate
+from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
+from rn_standard.tasks.snapshot import Snapshot
+from roboneuron import (
+    Arguments,
+    CallContext,
+    ConfigurationError,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    Reply,
+    Result,
+    RoboNeuronError,
+    RobotProfile,
+    StateError,
+    Tool,
+)
+from roboneuron.feature import MAX_INSTRUCTION_LENGTH, Stage, build, check_instruction, check_topic
+
+HOLD, STOP = "hold", "stop"
+"""What is done when a task has ended, besides the names of postures and places."""
+_EVIDENCE = 2
+_MOST_MONITORS = 16
+MoveTo = Callable[[str, CallContext], Any]
+
+
+class RunTask(Arguments):
+    """Arguments of run_task."""
+
+    instruction: str = Field(
+        max_length=MAX_INSTRUCTION_LENGTH, description='What to do, such as "pick up the red cube".'
+    )
+    until: dict[str, Any] | None = Field(
+        default=None,
+        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it nothing is judged.",
+    )
+    max_s: float | None = Field(default=None, gt=0, le=86400, description="Longest time of one attempt [s].")
+    max_attempts: int | None = Field(default=None, ge=1, le=20, description="Most attempts.")
+    on_end: str = Field(
+        default=HOLD, max_length=64, description="Then: hold, stop (the policy), or go to a name of move_to."
+    )
+
+
+class FinalState(Result):
+    """What was measured at the end; what was not is null."""
+
+    joints: dict[str, float] | None = Field(default=None, description="rad or m")
+    tcp_position_m: list[float] | None = Field(default=None, description="base frame")
+    tcp_quaternion_xyzw: list[float] | None = None
+    gripper_open: float | None = Field(default=None, description="0 closed .. 1 open")
+    still_s: float | None = Field(default=None, description="for so long no joint has moved")
+
+
+class TaskResult(Result):
+    """How a task ended; images from before and after come beside it, in this order."""
+
+    outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear"] = Field(
+        description="succeeded: the predicate was true, also with the arm at rest; failed: all attempts ended without; "
+        "timed_out: the last one for want of time; stopped: by somebody; unclear: it cannot be judged, see the images"
+    )
+    attempts: int = Field(description="0: it was done before anything moved")
+    reason: str
+    images_before: int = Field(description="the first so many images are from before")
+    images_after: int
+    state: FinalState
+    ended_with: str = Field(description="what was done at the end: on_end, or why that was not possible")
+    took_s: float
+
+
+class TaskTool:
+    """The handler of run_task."""
+
+    def __init__(
+        self, host: Host, options: TaskOptions, arbiter: TaskArbiter, approval: Approval, move_to: MoveTo,
+        names: Callable[[], Iterable[str]], ended: Callable[[str, TaskEnd], object],
+    ) -> None:  # fmt: skip
+        """Args:
+        host, options, arbiter, approval: of the feature.
+        move_to: goes to a posture or place, for `on_end`.
+        names: those that `move_to` knows.
+        ended: told of every task's end, with its instruction.
+        """
+        self._host = host
+        self._options = options
+        self._arbiter = arbiter
+        self._approval = approval
+        self._move_to = move_to
+        self._names = names
+        self._ended = ended
+        self._monitors: dict[str, Monitor] = {}
+
+    def is_offered(self) -> bool:
+        """Whether any policy could move the present robot."""
+        return self._host.loop.takes_policies()
+
+    async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
+        """Raises InvalidInputError, RefusedError, StateError, NotReadyError."""
+        instruction = check_instruction(arguments.instruction)
+        predicate = None if arguments.until is None else parse_predicate(arguments.until)
+        known = [HOLD, STOP, *self._names()]
+        if arguments.on_end not in known:
+            raise InvalidInputError(
+                f"on_end is {arguments.on_end[:64]!r}.", hint=f"Choose one of: {', '.join(known)}.", path="on_end"
+            )
+        profile = profile_of(self._host)
+        topics = {} if predicate is None else topics_of(predicate)
+        judge = None if predicate is None else self._judge(predicate, instruction, profile)
+        for kind in ("robot", "control"):
+            self._host.supervisor.require_running(cast("Any", kind))
+        await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
+        plan = TaskPlan(
+            instruction=instruction,
+            max_s=arguments.max_s or self._options.max_s,
+            max_attempts=arguments.max_attempts or self._options.max_attempts,
+            period_s=self._options.period_s,
+            end_wait_s=self._options.end_wait_s,
+            give_up_s=self._options.give_up_s,
+        )
+        halt = threading.Event()
+        holder: list[LiveCell] = []
+
+        def work(stage: Stage) -> TaskEnd:
+            cameras, why = self._cameras(predicate), lambda: self._arbiter.reason
+            cell = LiveCell(self._host, profile, context.role, stage, halt, why, topics, cameras)
+            holder.append(cell)
+            with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
+                try:
+                    cell.open()
+                    end = Task(cell, judge, plan, stage).run()
+                finally:
+                    cell.close()
+            self._ended(instruction, end)
+            return end
+
+        def cancel() -> None:
+            halt.set()
+            for cell in holder:
+                cell.cancel()
+
+        end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+        ended_with = await self._finish(arguments.on_end, end, context)
+        return Reply(result=_result(end, ended_with), pictures=(*end.before, *end.after))
+
+    async def _finish(self, on_end: str, end: TaskEnd, context: CallContext) -> str:
+        """Do what is to be done at the end; a failure of that changes no outcome."""
+        if on_end == HOLD or end.outcome is Outcome.STOPPED:
+            return HOLD
+        try:
+            await context.run(lambda _: self._host.loop.stop("inference"))
+            if on_end != STOP:
+                await self._move_to(on_end, context)
+        except RoboNeuronError as error:
+            return f"{HOLD}: {on_end!r} was not possible: {error}"
+        return on_end
+
+    def _judge(self, predicate: Predicate, instruction: str, profile: RobotProfile | None) -> Judge:
+        gripper = profile.gripper if profile is not None else None
+        return Judge(predicate, instruction, self._monitor, "" if gripper is None else gripper.joint)
+
+    def _monitor(self, predicate: MonitorSays) -> Monitor:
+        spec = self._host.registry.get("monitor", predicate.name)
+        monitor = cast("Monitor", build(spec, predicate.options))
+        key = f"{spec.target} {json.dumps(predicate.options, sort_keys=True, default=str)}"
+        if isinstance(monitor, RememberingMonitor):
+            if (previous := self._monitors.pop(key, None)) is not None:
+                monitor.follow(previous)
+            self._monitors[key] = monitor
+            self._monitors = dict(list(self._monitors.items())[-_MOST_MONITORS:])
+        return monitor
+
+    def _cameras(self, predicate: Predicate | None) -> list[str]:
+        """Cameras of the monitors, and those that evidence comes from."""
+        roles = self._host.loop.camera_roles()
+        names = list(self._options.evidence_cameras or list(roles)[:_EVIDENCE])
+        for part in [] if predicate is None else flat(predicate):
+            if isinstance(part, MonitorSays):
+                spec = self._host.registry.get("monitor", part.name)
+                assert isinstance(spec, MonitorSpec)
+                absent = [role for role in spec.cameras if role not in roles.values()]
+                if absent:
+                    raise NotReadyError(f"Monitor {part.name!r} needs a camera of role {absent[0]!r}; there is none.")
+                wanted = (*spec.cameras, *spec.optional_cameras)
+                names += [name for name, role in roles.items() if role in wanted and name not in names]
+        return names
+
+
+def profile_of(host: Host) -> RobotProfile | None:
+    """Facts of the present robot; None for one that no plugin describes, and without the direct path."""
+    name = host.config.robot.name
+    try:
+        exposed = gate_of(host).exposed
+    except StateError:
+        return None
+    return next((e.profile for e in exposed if e.profile is not None and e.robot == name), None)
+
+
+def topics_of(predicate: Predicate) -> Mapping[str, str]:
+    """Type by topic, of the fields that a predicate names.
+
+    Raises:
+        InvalidInputError: a topic, type or field cannot be, or one topic is named with two types.
+    """
+    topics: dict[str, str] = {}
+    for part in flat(predicate):
+        if isinstance(part, FieldIs):
+            _check_field(part)
+            if topics.setdefault(part.topic, part.type) != part.type:
+                raise InvalidInputError(f"{part.topic} is named with two types.", path="until")
+    return topics
+
+
+def _check_field(part: FieldIs) -> None:
+    try:
+        check_topic(part.topic)
+        check_path(load_type(part.type), part.field)
+    except (ConfigurationError, InvalidInputError) as error:
+        raise InvalidInputError(f"until: {error.message}", hint=error.hint, path="until") from error
+
+
+def _result(end: TaskEnd, ended_with: str) -> TaskResult:
+    return TaskResult(
+        outcome=end.outcome.value,
+        attempts=end.attempts,
+        reason=f"{end.reason}.",
+        images_before=len(end.before),
+        images_after=len(end.after),
+        state=_state(end.state),
+        ended_with=ended_with,
+        took_s=round(end.took_s, 3),
+    )
+
+
+def _state(snapshot: Snapshot) -> FinalState:
+    tcp = snapshot.tcp
+    return FinalState(
+        joints=None if snapshot.joints is None else {name: round(v, 4) for name, v in snapshot.joints.items()},
+        tcp_position_m=None if tcp is None else [round(float(v), 4) for v in tcp.position_m],
+        tcp_quaternion_xyzw=None if tcp is None else [round(float(v), 4) for v in tcp.quaternion_xyzw],
+        gripper_open=None if snapshot.gripper_open is None else round(snapshot.gripper_open, 3),
+        still_s=None if snapshot.still_s is None else round(snapshot.still_s, 2),
+    )
+
+
+def run_task_tool(handler: TaskTool) -> Tool[Any]:
+    """run_task."""
+    return Tool(
+        name="run_task",
+        title="Carry out a task",
+        description="Have the robot carry out an instruction; returns when that has ended and the policy moves nothing "
+        "any more. The outcome is succeeded, failed, timed_out, stopped (by somebody) or unclear (judge by the "
+        "images). Needs start_all. Cancelling the call, or losing the connection, stops the arm.",
+        arguments=RunTask,
+        result=TaskResult,
+        handler=handler,
+        open_world=True,
+        offered=handler.is_offered,
+    )

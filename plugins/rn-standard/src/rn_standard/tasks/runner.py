@@ -1,0 +1,305 @@
+"""A task: bounded attempts of a policy, each watched until its predicate is true, and ended whatever happens.
+
+Nothing here knows of ROS or of threads: the robot is a `Cell`, time is the cell's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from rn_standard.tasks.judging import Judge, Judgement
+from rn_standard.tasks.snapshot import Snapshot
+from roboneuron import Picture, RoboNeuronError
+
+_CONFIRM_S = 1.5
+"""Longest look, after the arm was stopped, at whether it is still true."""
+_MOST_AGAIN_S = 5.0
+_STANDS_S = 0.2
+_CANCELLED = "the call was cancelled, or its connection was lost"
+_TOLD_S = 2.0
+"""A motionless task still tells its caller now and then how it is."""
+
+
+class Outcome(StrEnum):
+    """How a task ended."""
+
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    TIMED_OUT = "timed_out"
+    STOPPED = "stopped"
+    UNCLEAR = "unclear"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PolicyState:
+    """What is known of the policy that carries a task out.
+
+    Attributes:
+        has_acted: it has published an action for this attempt.
+        failure: why it gave up; empty while it works.
+        taken: why it does not work for this task any more (stopped, another instruction); empty while it does.
+    """
+
+    has_acted: bool
+    failure: str = ""
+    taken: str = ""
+
+
+class Cell(Protocol):
+    """The robot of one task, as the task sees it. Used from one thread."""
+
+    def now_s(self) -> float:
+        """Time [s] that never goes back."""
+        ...
+
+    def wait(self, seconds: float) -> bool:
+        """Let time pass; returns at once with True when the task is to end."""
+        ...
+
+    def begin(self, instruction: str) -> None:
+        """Give the policy the instruction anew; the robot may move from here on.
+
+        Raises:
+            RoboNeuronError: it cannot act.
+        """
+        ...
+
+    def policy(self) -> PolicyState:
+        """How the policy is."""
+        ...
+
+    def look(self) -> Snapshot:
+        """How things are now."""
+        ...
+
+    def end(self) -> None:
+        """Have the policy act no more; the arm comes to rest. Never raises, and may be called twice."""
+        ...
+
+    def evidence(self) -> tuple[Picture, ...]:
+        """What the cameras show now; empty without any."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TaskEnd:
+    """How a task ended.
+
+    Attributes:
+        attempts: how many were begun.
+        reason: one sentence, without its full stop.
+        before, after: evidence.
+        state: at the end.
+        took_s: all of it.
+        stop_s: from the look that found the predicate true until the policy was told to end; None without success.
+    """
+
+    outcome: Outcome
+    attempts: int
+    reason: str
+    before: tuple[Picture, ...]
+    after: tuple[Picture, ...]
+    state: Snapshot
+    took_s: float
+    stop_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TaskPlan:
+    """What is to be done.
+
+    Attributes:
+        instruction: for the policy.
+        max_s: longest attempt [s].
+        max_attempts: most attempts.
+        period_s: between two looks [s].
+        end_wait_s: after the policy's own end, how long the world may take to show success [s].
+        give_up_s: a policy that reports errors without a break for so long has given up; shorter ones heal [s].
+    """
+
+    instruction: str
+    max_s: float
+    max_attempts: int
+    period_s: float = 0.05
+    end_wait_s: float = 2.0
+    give_up_s: float = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Attempt:
+    """The end of an attempt; `again`: another one may be made."""
+
+    outcome: Outcome
+    reason: str
+    again: bool = False
+    stop_s: float | None = None
+
+
+class _Lasting:
+    """For how long a fact has held at every look."""
+
+    def __init__(self) -> None:
+        self._since_s = math.inf
+
+    def held_s(self, now_s: float, fact: bool) -> float:
+        """Look once more; -inf when it does not hold."""
+        self._since_s = min(self._since_s, now_s) if fact else math.inf
+        return now_s - self._since_s
+
+
+class Task:
+    """One task; used once, on one thread.
+
+    Args:
+        cell: the robot.
+        judge: of the predicate; None when the caller gave none, then nothing is ever judged a success.
+        plan: what is to be done.
+        tell: given a phrase whenever there is something to say.
+    """
+
+    def __init__(self, cell: Cell, judge: Judge | None, plan: TaskPlan, tell: Callable[[str], None]) -> None:
+        self._cell = cell
+        self._judge = judge
+        self._plan = plan
+        self._tell = tell
+        self._attempt = 0
+
+    def run(self) -> TaskEnd:
+        """Do it; the policy acts no more when this returns or raises.
+
+        Raises:
+            RoboNeuronError: the first attempt could not even begin.
+        """
+        cell, began_s = self._cell, self._cell.now_s()
+        before = cell.evidence()
+        try:
+            end = self._already() or self._attempts()
+        finally:
+            cell.end()
+        self._tell(f"{end.outcome}: {end.reason}")
+        return TaskEnd(
+            outcome=end.outcome,
+            attempts=self._attempt,
+            reason=end.reason,
+            before=before,
+            after=cell.evidence(),
+            state=cell.look(),
+            took_s=cell.now_s() - began_s,
+            stop_s=end.stop_s,
+        )
+
+    def _already(self) -> _Attempt | None:
+        """True before anything moved: nothing is to be done. Looks for as long as it has to last."""
+        snapshot, judge = self._cell.look(), self._judge
+        if judge is None:
+            return None
+        judge.reset(snapshot)
+        deadline_s = snapshot.now_s + min(judge.lasts_s, self._plan.max_s) + _STANDS_S + 2 * self._plan.period_s
+        while True:
+            judgement = judge.look(snapshot)
+            if judgement.value is True:
+                reason = f"it was so before anything moved: {judgement.reason}"
+                return _Attempt(outcome=Outcome.SUCCEEDED, reason=reason)
+            if snapshot.now_s >= deadline_s or not judge.may_last(snapshot):
+                return None
+            if self._cell.wait(self._plan.period_s):
+                return self._ended()
+            snapshot = self._cell.look()
+
+    def _attempts(self) -> _Attempt:
+        plan = self._plan
+        while True:
+            if self._cell.wait(0.0):
+                return self._ended()
+            self._attempt += 1
+            self._say("begins")
+            if self._judge is not None:
+                self._judge.reset(self._cell.look())
+            try:
+                self._cell.begin(plan.instruction)
+            except RoboNeuronError as error:
+                if self._attempt == 1:
+                    raise
+                return _Attempt(outcome=Outcome.STOPPED, reason=f"it could not begin again: {error}")
+            end = self._watch()
+            self._cell.end()
+            if not end.again or self._attempt >= plan.max_attempts:
+                return end
+            self._say(f"failed: {end.reason}")
+
+    def _watch(self) -> _Attempt:
+        """Look again and again until the attempt is over."""
+        cell, plan = self._cell, self._plan
+        deadline_s = cell.now_s() + plan.max_s
+        done, failing = _Lasting(), _Lasting()
+        told_s = cell.now_s()
+        while True:
+            snapshot = cell.look()
+            judgement = self._look(snapshot)
+            if judgement.value is True:
+                return self._confirm(judgement, snapshot.now_s)
+            state = cell.policy()
+            if state.taken:
+                return _Attempt(outcome=Outcome.STOPPED, reason=state.taken)
+            if failing.held_s(snapshot.now_s, bool(state.failure)) >= plan.give_up_s:
+                if not state.has_acted:  # nothing has moved: whatever cannot be seen, the policy has not done it
+                    return _Attempt(outcome=Outcome.FAILED, reason=f"the policy refuses: {state.failure}")
+                return self._unfulfilled(judgement, Outcome.FAILED, f"the policy gave up: {state.failure}")
+            says_done = bool(snapshot.policy_done) and state.has_acted
+            patience_s = 0.0 if self._judge is None else plan.end_wait_s
+            if done.held_s(snapshot.now_s, says_done) >= patience_s:
+                return self._unfulfilled(judgement, Outcome.FAILED, "the policy says that it has finished")
+            if snapshot.now_s >= deadline_s:
+                return self._unfulfilled(judgement, Outcome.TIMED_OUT, f"{plan.max_s:g} s are over")
+            if snapshot.now_s - told_s >= _TOLD_S:
+                told_s = snapshot.now_s
+                self._say(judgement.reason)
+            if cell.wait(plan.period_s):
+                return self._ended()
+
+    def _look(self, snapshot: Snapshot) -> Judgement:
+        if self._judge is None:
+            return Judgement(value=None, reason="the call named no predicate")
+        return self._judge.look(snapshot)
+
+    def _ended(self, stop_s: float | None = None) -> _Attempt:
+        """Somebody has ended the task."""
+        reason = self._cell.policy().taken or _CANCELLED
+        return _Attempt(outcome=Outcome.STOPPED, reason=reason, stop_s=stop_s)
+
+    def _unfulfilled(self, judgement: Judgement, outcome: Outcome, why: str) -> _Attempt:
+        reason = f"{why}; {judgement.reason}"
+        if judgement.value is None:
+            return _Attempt(outcome=Outcome.UNCLEAR, reason=reason)
+        return _Attempt(outcome=outcome, reason=reason, again=True)
+
+    def _confirm(self, first: Judgement, found_s: float) -> _Attempt:
+        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may coast."""
+        cell = self._cell
+        self._say(f"stopping: {first.reason}")
+        cell.end()
+        stop_s = cell.now_s() - found_s
+        # What has to last begins anew when one look could not tell, for instance while the arm still moved.
+        lasts_s = 0.0 if self._judge is None else min(self._judge.lasts_s, _MOST_AGAIN_S)
+        deadline_s = cell.now_s() + _CONFIRM_S + lasts_s
+        while True:
+            snapshot = cell.look()
+            judgement = self._look(snapshot)
+            stands = snapshot.still_s is None or snapshot.still_s >= _STANDS_S
+            if judgement.value is True and stands:
+                return _Attempt(outcome=Outcome.SUCCEEDED, reason=judgement.reason, stop_s=stop_s)
+            if snapshot.now_s >= deadline_s:
+                break
+            if cell.wait(self._plan.period_s):
+                return self._ended(stop_s)
+        if judgement.value is True:
+            return _Attempt(outcome=Outcome.UNCLEAR, reason=f"{judgement.reason}; but the arm does not come to rest")
+        why = f"it was true for a moment ({first.reason}), and is not any more once the arm was stopped"
+        return self._unfulfilled(judgement, Outcome.FAILED, why)
+
+    def _say(self, text: str) -> None:
+        self._tell(f"attempt {self._attempt} of {self._plan.max_attempts}: {text}")

@@ -1,0 +1,145 @@
+"""Start of all modules at once; a failure of one ends the others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from rn_standard.selection.requests import StartInference
+from roboneuron import Arguments, NotReadyError, RoboNeuronError, StateError
+from roboneuron.feature import MODULE_KINDS, ClosedLoop, ModuleKind, ModuleView, Selection, Stage
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Started:
+    """What one call of start_all did.
+
+    Attributes:
+        views: of the modules that were started, in the order of `MODULE_KINDS`.
+        took_s: time from the call to the proof of each.
+        already: modules that were running before.
+        total_s: the whole call.
+    """
+
+    views: tuple[ModuleView, ...]
+    took_s: dict[ModuleKind, float]
+    already: tuple[ModuleKind, ...]
+    total_s: float
+
+
+class ParallelStart:
+    """One start of everything that is configured and does not run; used once.
+
+    All modules are checked before the first is spawned. Then each is started by a thread of its own: a module waits
+    itself for what it needs of the others. The first failure cancels the other starts, and stops what had started.
+    """
+
+    def __init__(self, loop: ClosedLoop, requests: dict[ModuleKind, Arguments], role: str) -> None:
+        """Args:
+        loop: the closed loop.
+        requests: what the caller named, by kind; what is configured otherwise.
+        role: of the caller.
+        """
+        self._loop = loop
+        self._requests = requests
+        self._role = role
+        self._lock = threading.Lock()
+        self._failure: RoboNeuronError | None = None
+        self._took_s: dict[ModuleKind, float] = {}
+        self._kinds: tuple[ModuleKind, ...] = ()
+
+    def run(self, on_stage: Stage) -> Started:
+        """Start; returns when everything has proved that it works.
+
+        Raises:
+            StateError: everything runs already, a module is being started or stopped, or the start was cancelled.
+            RoboNeuronError: as `ClosedLoop.start`, of the module that failed first; nothing of this call is left.
+        """
+        began_s = time.monotonic()
+        phases = {kind: self._loop.supervisor.view(kind).phase for kind in MODULE_KINDS}
+        if busy := [f"{kind} is {phase}" for kind, phase in phases.items() if phase in ("starting", "stopping")]:
+            raise StateError(f"Somebody else is at work: {', '.join(busy)}.", hint="Wait for the end of that call.")
+        already = tuple(kind for kind in MODULE_KINDS if phases[kind] == "running")
+        wanted = [kind for kind in MODULE_KINDS if kind not in already and self._is_configured(kind)]
+        if not wanted:
+            raise StateError("Everything that is configured runs already.", hint="See get_status.")
+        selections = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
+        # What each start would wait for alone is done first: a module gives up when what it needs is not even starting.
+        self._loop.emergency_stop.prepare(self._loop.config.namespace)
+        if "inference" in wanted:
+            self._loop.stream(self._loop.config.namespace)
+        with self._lock:
+            self._check()
+            self._kinds = tuple(wanted)
+        threads = [
+            threading.Thread(target=self._start, args=(selection, on_stage, began_s), name=f"start-{selection.kind}")
+            for selection in selections
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if self._failure is not None:
+            self._undo(on_stage)
+            raise self._failure
+        views = tuple(self._loop.supervisor.view(kind) for kind in wanted)
+        return Started(views=views, took_s=self._took_s, already=already, total_s=time.monotonic() - began_s)
+
+    def cancel(self) -> None:
+        """End the starts in progress; callable from any thread. `run` then stops what had started, and raises."""
+        self._fail(StateError("The start was cancelled: the client cancelled the call."), "the client cancelled.")
+
+    def _is_configured(self, kind: ModuleKind) -> bool:
+        return kind in self._requests or getattr(self._loop.config, kind) is not None
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _start(self, selection: Selection, on_stage: Stage, began_s: float) -> None:
+        try:
+            with self._lock:
+                self._check()
+            self._loop.start_selected(selection, on_stage)
+        except RoboNeuronError as error:
+            self._fail(error, f"{selection.kind} could not be started.")
+        except BaseException as error:  # a thread's border; the others must end too
+            self._fail(NotReadyError(f"{selection.kind} failed to start: {error!r}."), f"{selection.kind} failed.")
+            raise
+        else:
+            self._took_s[selection.kind] = time.monotonic() - began_s
+            on_stage(f"{selection.kind}: works ({len(self._took_s)} of {len(self._kinds)})")
+            if self._failure is not None:  # cancelled after the last look of the start itself
+                self._stop(selection.kind)
+
+    def _fail(self, error: RoboNeuronError, reason: str) -> None:
+        with self._lock:
+            first = self._failure is None
+            self._failure = self._failure or error
+            kinds = self._kinds
+        if first:
+            for kind in kinds:
+                self._loop.supervisor.cancel(kind, reason)
+
+    def _undo(self, on_stage: Callable[[str], None]) -> None:
+        for kind in reversed(self._kinds):
+            if kind in self._took_s and self._loop.supervisor.view(kind).phase == "running":
+                on_stage(f"{kind}: stopping it again")
+                self._stop(kind)
+
+    def _stop(self, kind: ModuleKind) -> None:
+        with suppress(StateError):  # somebody else stopped it
+            self._loop.stop(kind)
+
+
+def requests_for(instruction: str | None, model: StartInference | None = None) -> dict[ModuleKind, Arguments]:
+    """What start_all asks of inference: a model, and an instruction for it."""
+    if instruction is None and model is None:
+        return {}
+    request = model or StartInference(options={})
+    if instruction is not None:
+        request = request.model_copy(update={"instruction": instruction})
+    return {"inference": request}

@@ -1,0 +1,339 @@
+"""move_ee: incremental moves of an arm's end effector, through the control module that also follows policies."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from rn_standard.direct_path.delivery import Command
+from rn_standard.direct_path.exposed import Exposed, gate_request
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.direct_path.request import GateRequest
+from rn_standard.tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
+from rn_standard.tools_arm.grip import Grip, is_lost
+from rn_standard.tools_arm.measured import MeasuredPose
+from rn_standard.tools_arm.options import ArmToolsOptions
+from rn_standard.tools_arm.prediction import PredictedArm, control_of
+from roboneuron import (
+    ACTION_LABEL,
+    ACTION_SIZE,
+    Action,
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    Pose,
+    RefusedError,
+    Result,
+    RoboNeuronError,
+    RobotProfile,
+    StateError,
+)
+from roboneuron.feature import Stage
+
+_FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
+_REACHED_M, _REACHED_RAD = 0.002, 0.01
+_SETTLE_S = 2.0
+"""How long the arm may come no nearer, after the nominal duration."""
+_NEARER = 5e-4
+"""Less than this [m and rad together] is no progress."""
+_STILL_M, _STILL_RAD = 5e-4, 2.5e-3
+"""A TCP that moves less than this between two steps has arrived, and does not pass through."""
+_GRIPPER_S = 0.8
+_MEASURED_S, _POSE_S = 2.0, 0.5
+"""Longest wait for control and the first measurement, and for the next ones."""
+_AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
+_Delta = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M)]
+_Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
+
+
+class MoveEndEffector(Arguments):
+    """Arguments of move_ee."""
+
+    dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
+    dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
+    dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
+    rx_rad: _Turn = Field(default=0.0, description="Rotation vector [rad].")
+    ry_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
+    rz_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
+    gripper_open: float | None = Field(
+        default=None, ge=0, le=1, description="Opening, 0 closed .. 1 open; as last commanded when omitted."
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
+    )
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+
+
+class EndEffectorMove(Result):
+    """What the arm did, measured."""
+
+    robot: str
+    asked: dict[str, float] = Field(description="the move that was asked for")
+    moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
+    position_m: list[float] = Field(description="measured TCP position at the end (a dry run: now), base frame")
+    error_m: float = Field(description="distance from where it should be")
+    error_rad: float
+    sent: int = Field(description="actions")
+    duration_s: float = Field(description="taken; of a dry run that it would take")
+    dry_run: bool
+    allowed: bool
+    reason: str
+    target_m: list[float] = Field(description="where the TCP is to be, base frame")
+    holding: bool | None = Field(default=None, description="the hand holds something; null: unknown")
+    lost_on_the_way: bool = False
+
+
+@dataclass(kw_only=True, slots=True)
+class _Line:
+    """A move that is under way; `start`, and whether the hand `held` something, are measured when it begins."""
+
+    order: Order
+    start: Pose | None = None
+    held: bool | None = None
+    kept: float | None = None
+
+
+@dataclass(kw_only=True, slots=True)
+class _Forecast:
+    """What a dry run computes: how long the move would take."""
+
+    took_s: float
+
+
+class EndEffectorMover:
+    """The handler of move_ee."""
+
+    def __init__(
+        self, exposed: Exposed, profile: RobotProfile, host: Host, options: ArmToolsOptions, tcp: MeasuredPose
+    ) -> None:
+        self._exposed = exposed
+        self._profile = profile
+        self._gate = gate_of(host)
+        self._host = host
+        self._options = options
+        self._tcp = tcp
+        self._grip = Grip(host, self._gate, exposed)
+
+    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        order = self._order(arguments)
+        request = gate_request(
+            context, "move_ee", self._exposed, [self._message(np.zeros(6), order.gripper_open or 0.0)],
+            arguments.given(), dry_run=arguments.dry_run,
+        )  # fmt: skip
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: self._move(order, request, stage, halt), on_cancel=halt.set, on_leave=halt.set
+        )
+
+    def check(self) -> None:
+        """Raise unless the arm could be moved now. Raises RefusedError, StateError."""
+        self._gate.check_free(self._exposed)
+        self._host.supervisor.require_running("control")
+
+    def pose(self) -> Pose:
+        """The measured TCP; blocks. Raises as `MeasuredPose.wait`."""
+        return self._tcp.wait(_MEASURED_S)
+
+    def _order(self, arguments: MoveEndEffector) -> Order:
+        values = np.array([getattr(arguments, name) for name in _AXES])
+        gripper = arguments.gripper_open
+        if gripper is None and not values.any():
+            raise InvalidInputError("The call asks for no move.", hint="Give one of the deltas, or gripper_open.")
+        speed_m_s, turn_rad_s = self._speeds()
+        distance_m, turn_rad = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
+        shortest_s = max(distance_m / speed_m_s, turn_rad / turn_rad_s, STEP_S)
+        asked_s = arguments.duration_s
+        if asked_s is not None and asked_s < shortest_s * 0.999:
+            raise RefusedError(
+                f"A move of {distance_m:.3f} m and {turn_rad:.2f} rad in {asked_s:g} s is too fast: at least "
+                f"{shortest_s:.2f} s are needed.",
+                hint="Give it more time, or leave duration_s away.",
+            )
+        return Order(
+            translation_m=values[:3], rotation_rad=values[3:], gripper_open=gripper, duration_s=asked_s or shortest_s
+        )
+
+    def _speeds(self) -> tuple[float, float]:
+        """Fastest move [m/s] and turn [rad/s]: of the options, or of the limits in force where these are lower."""
+        options, limits = self._options, self._host.loop.limits
+        return min(options.ee_speed_m_s, limits.max_speed_m_s), min(options.ee_turn_rad_s, limits.max_turn_rad_s)
+
+    def _message(self, delta: F64, gripper_open: float) -> Any:
+        """An action of the contract: deltas of the TCP in the base frame, and the gripper."""
+        from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
+
+        values = np.append(delta, min(1.0, max(0.0, gripper_open))).tolist()
+        dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
+        return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=values)
+
+    def _move(self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event) -> EndEffectorMove:
+        gate, exposed = self._gate, self._exposed
+        if request.dry_run:
+            return self._judge(order, request)
+        self.check()
+        line = _Line(order=order)
+        sent = gate.play(
+            exposed, request, self._actions(line, stage), total_s=order.duration_s, timeout_s=_MEASURED_S, halt=halt,
+            details=lambda: self._where(line),
+        )  # fmt: skip
+        if not sent.verdict.may_send:
+            verdict = sent.verdict
+            return self._answer(order, 0, 0.0, None, None, allowed=verdict.allowed, reason=verdict.reason, dry_run=True)
+        answer = self._answer(order, sent.messages, sent.duration_s, line.start, self._tcp.wait(1.0))
+        return answer.model_copy(update=self._grip_at_the_end(line))
+
+    def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
+        """Answer a dry run: where the TCP would be, after how long, and what stands in the way."""
+        reason = self._why_not()
+        forecast = _Forecast(took_s=order.duration_s)
+        request = replace(request, predict=None if reason else lambda: self._predict(order, forecast))
+        verdict = self._gate.check(request)
+        is_latched = verdict.rule == "emergency_stop"
+        answer = self._answer(
+            order, 0, forecast.took_s, self._known_pose(), None,
+            allowed=verdict.allowed and not reason, reason=verdict.reason if is_latched else reason or verdict.reason,
+            dry_run=True,
+        )  # fmt: skip
+        return answer.model_copy(update={"holding": self._grip.holding()})
+
+    def _known_pose(self) -> Pose | None:
+        """Where the TCP is measured; None when control tells none."""
+        try:
+            return self._tcp.wait(_POSE_S)
+        except RoboNeuronError:
+            return None
+
+    def _grip_at_the_end(self, line: _Line) -> dict[str, bool | None]:
+        holding = self._grip.holding()
+        lost = is_lost(line.held, holding, line.order.gripper_open, line.kept)
+        return {"holding": holding, "lost_on_the_way": lost}
+
+    def _actions(self, line: _Line, stage: Stage) -> Iterator[Command]:
+        """Follow the line by the measured pose; ends when the arm is there.
+
+        Raises:
+            RefusedError: control held the arm, with its reason.
+            NotReadyError: control or the gripper is not measured.
+            StateError: the arm did not get there.
+        """
+        order = line.order
+        start = line.start = self._tcp.wait(_MEASURED_S)
+        line.kept, line.held = self._grip.kept(), self._grip.holding()
+        gripper = line.kept if order.gripper_open is None else order.gripper_open
+        began_s = time.monotonic()
+        deltas = self._deltas(
+            order, start, lambda: self._tcp.wait(_POSE_S), lambda: time.monotonic() - began_s, self._note
+        )
+        for sent, (fraction, distance_m, delta) in enumerate(deltas):
+            if sent % 5 == 0:
+                stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
+            yield Command(message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S)
+
+    def _predict(self, order: Order, forecast: _Forecast) -> None:
+        """Raise RefusedError unless control would bring the arm there; its path is that of `_actions`."""
+        joints = self._gate.joints(self._exposed, _MEASURED_S)
+        if joints is None:
+            raise RefusedError("The joints are not measured, so that the path cannot be judged.")
+        gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
+        steps = count()
+        with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
+
+            def note() -> str:
+                return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
+
+            forecast.took_s = 0.0
+            try:
+                for _, _, delta in self._deltas(order, arm.pose(), arm.pose, lambda: next(steps) * STEP_S, note):
+                    arm.follow(Action.from_vector(np.append(delta, min(1.0, max(0.0, gripper)))), STEP_S)
+                    forecast.took_s += STEP_S
+            except StateError as error:
+                raise RefusedError(error.message) from error
+
+    def _deltas(
+        self, order: Order, start: Pose, pose: Callable[[], Pose], elapsed_s: Callable[[], float],
+        note: Callable[[], str],
+    ) -> Iterator[tuple[float, float, F64]]:  # fmt: skip
+        """Steps towards the end of the line by the present pose: share of the line, distance left [m], delta (6,).
+
+        Raises:
+            RefusedError, StateError: the arm does not get there; `note` says what control does.
+        """
+        speed_m_s, turn_rad_s = self._speeds()
+        least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
+        nearest, nearest_s, before = np.inf, least_s, start
+        while True:
+            now_s, here = elapsed_s(), pose()
+            error = remaining(start, order, 1.0, here)
+            left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            way, before = difference(before, here), here
+            is_still = float(np.linalg.norm(way[:3])) < _STILL_M and float(np.linalg.norm(way[3:])) < _STILL_RAD
+            if left_m < _REACHED_M and left_rad < _REACHED_RAD and now_s >= least_s and is_still:
+                return
+            if left_m + left_rad < nearest - _NEARER:
+                nearest, nearest_s = left_m + left_rad, max(now_s, least_s)
+            if now_s > min(nearest_s + _SETTLE_S, self._gate.max_duration_s):
+                text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
+                told = note()
+                if told.startswith("holding"):
+                    raise RefusedError(f"{text}; control is {told}")
+                raise StateError(f"{text} ({told or 'no report of control'}).")
+            fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
+            delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
+            yield fraction, left_m, delta
+
+    def _note(self) -> str:
+        """What control is doing, in its own words."""
+        report = self._host.supervisor.view("control").report
+        return report.note if report is not None else ""
+
+    def _where(self, line: _Line) -> str:
+        try:
+            place = f"the TCP is at {rounded(self._tcp.wait(1.0).position_m)} m"
+        except RoboNeuronError as error:
+            return error.message
+        lost = line.held and self._grip_at_the_end(line)["lost_on_the_way"]
+        return f"{place}; the hand has lost what it held" if lost else place
+
+    def _why_not(self) -> str:
+        try:
+            self.check()
+        except RoboNeuronError as error:
+            return str(error)
+        return ""
+
+    def _answer(
+        self, order: Order, sent: int, duration_s: float, start: Pose | None, end: Pose | None, *,
+        allowed: bool = True, reason: str = "", dry_run: bool = False,
+    ) -> EndEffectorMove:  # fmt: skip
+        moved, error = np.zeros(6), np.zeros(6)
+        if start is not None and end is not None:
+            moved = difference(start, end)
+            error = remaining(start, order, 1.0, end)
+        here = start if end is None else end
+        asked = dict(zip(_AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True))
+        if order.gripper_open is not None:
+            asked["gripper_open"] = order.gripper_open
+        return EndEffectorMove(
+            robot=self._exposed.robot,
+            asked=asked,
+            moved=dict(zip(_AXES, rounded(moved), strict=True)),
+            position_m=rounded(here.position_m) if here is not None else [],
+            target_m=rounded(start.position_m + order.translation_m) if start is not None else [],
+            error_m=round(float(np.linalg.norm(error[:3])), 5),
+            error_rad=round(float(np.linalg.norm(error[3:])), 5),
+            sent=sent,
+            duration_s=round(duration_s, 3),
+            dry_run=dry_run,
+            allowed=allowed,
+            reason=reason,
+        )

@@ -1,0 +1,40 @@
+"""The feature: tools of the arm among what is exposed, made again whenever that changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.tools_arm.measured import MeasuredPose
+from rn_standard.tools_arm.options import ArmToolsOptions
+from rn_standard.tools_arm.placing import GripHeight
+from rn_standard.tools_arm.plugin import FEATURE
+from rn_standard.tools_arm.tools import arm_tools
+from roboneuron import Feature, Host, Tool
+from roboneuron.feature import ModuleKind
+
+
+class ArmTools(Feature[ArmToolsOptions]):
+    """move_joints, move_ee and place. They need the gate only, which exposes the endpoints of the robot's profile."""
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """None but the derived ones, which come once something is exposed."""
+
+        poses: dict[str, MeasuredPose] = {}
+        grips: dict[str, GripHeight] = {}
+
+        def derive() -> None:
+            host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options, poses, grips))
+
+        def watch(kind: ModuleKind) -> None:
+            """From the start of control on, see how high the hand closes, whoever closes it."""
+            if kind == "control" and host.supervisor.view("control").phase == "running":
+                for grip in list(grips.values()):
+                    grip.watch()
+
+        host.events.change.listen(watch)
+
+        gate_of(host).on_change(derive)
+        derive()
+        return ()

@@ -1,0 +1,282 @@
+"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until the arm is there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.direct_path.delivery import TRAJECTORY, Command
+from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import Exposed, gate_request
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.speeds import shortest_s
+from rn_standard.tools_arm.grip import Grip, is_lost
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    JointSample,
+    NotReadyError,
+    Result,
+    StateError,
+    Tool,
+)
+from roboneuron.feature import JointLimit, Schema, Stage, joint_limits, unknown_name
+
+_EASY, _EASY_ACCELERATION = 0.4, 0.5
+"""Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
+_NEARLY = 0.95
+"""Share of what a joint may do so near to its limit."""
+_REST, _REST_S = 5e-4, 0.1
+"""A joint that moves by less than this [rad or m] in this time is at rest."""
+_SETTLE_S = 3.0
+_MEASURED_S = 2.0
+"""Longest wait for a measurement, and for the robot to subscribe."""
+
+
+class MoveJoints(Arguments):
+    """Arguments of move_joints."""
+
+    positions: dict[str, float] = Field(
+        min_length=1, description="Target by joint, rad or m; the others stay where they are."
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
+    )
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+
+
+class JointMove(Result):
+    """What the arm did, measured."""
+
+    robot: str
+    position: dict[str, float] = Field(description="measured at the end [rad or m]")
+    error: float = Field(description="largest distance from the target [rad or m]")
+    duration_s: float
+    dry_run: bool
+    allowed: bool
+    reason: str
+    holding: bool | None = Field(default=None, description="the hand holds something; null: unknown")
+    lost_on_the_way: bool = False
+
+
+def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> list[Tool[Any]]:
+    """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
+    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None)
+    if found is None or found.profile is None:
+        return []
+    limits = joint_limits(found.profile)
+    mover = _JointMover(found, limits, gate, host)
+    joints: Schema = {
+        "properties": {
+            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper} for name, limit in limits.items()
+        },
+        "additionalProperties": False,
+    }
+    return [
+        Tool(
+            name="move_joints",
+            title="Move joints",
+            description=(
+                f"Move joints of {found.robot!r} to positions [rad, m], within their position and velocity limits. "
+                "Needs start_robot; refused while a policy runs. Returns when they are measured there, at rest."
+            ),
+            arguments=Derived(
+                model=MoveJoints,
+                properties={"positions": joints, "duration_s": {"maximum": gate.max_duration_s}, "dry_run": {}},
+                required=["positions"],
+            ),
+            result=JointMove,
+            handler=mover,
+            open_world=True,
+        )
+    ]
+
+
+class _JointMover:
+    """The handler of move_joints."""
+
+    def __init__(self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate, host: Host) -> None:
+        self._exposed = exposed
+        self._limits = limits
+        self._gate = gate
+        self._host = host
+        self._grip = Grip(host, gate, exposed)
+
+    async def __call__(self, arguments: MoveJoints, context: CallContext) -> JointMove:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        for name, value in arguments.positions.items():
+            if name not in self._limits:
+                raise unknown_name("positions", name, list(self._limits))
+            limit = self._limits[name]
+            if not limit.lower <= value <= limit.upper:
+                raise InvalidInputError(
+                    f"positions.{name} is {value:g}, expected from {limit.lower:g} to {limit.upper:g}.",
+                    path=f"positions.{name}",
+                )
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: self._move(arguments, context, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
+        )
+
+    def _move(self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event) -> JointMove:
+        exposed, gate = self._exposed, self._gate
+        target, asked_s, dry_run = arguments.positions, arguments.duration_s, arguments.dry_run
+        joints = gate.joints(exposed, _MEASURED_S)
+        if joints is None:
+            raise self._unmeasured()
+        duration_s = asked_s or self._easy_s(target, joints)
+        request = gate_request(
+            context,
+            "move_joints",
+            exposed,
+            [_message(target, duration_s)],
+            arguments.given(),
+            joints=joints,
+            dry_run=dry_run,
+        )
+        if asked_s is None and (slower := gate.slowdown(request)) > 1.0:
+            duration_s *= slower * 1.01  # rounding
+            request = replace(request, messages=(_message(target, duration_s),))
+        if dry_run:
+            verdict = gate.ask(exposed, request)
+            return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
+        kept, held = self._grip.commanded(), self._grip.holding()
+        commands = self._commands(target, request.messages[0], duration_s, stage)
+        sent = gate.play(exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt)
+        if not sent.verdict.may_send:
+            return self._answer(target, joints, 0.0, sent.verdict.allowed, sent.verdict.reason, True)
+        answer = self._answer(target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False)
+        holding, gripper = self._grip.holding(), self._grip.profile
+        asked = None if gripper is None or gripper.joint not in target else gripper.to_opening(target[gripper.joint])
+        lost = is_lost(held, holding, asked, kept)
+        return answer.model_copy(update={"holding": holding, "lost_on_the_way": lost})
+
+    def _unmeasured(self) -> NotReadyError:
+        """Why there are no joints: the robot is not running, or its states do not come through."""
+        robot = self._host.supervisor.view("robot")
+        if robot.phase != "running" or self._exposed.namespace != self._host.config.namespace:
+            return NotReadyError("The joints are not measured.", hint="Call start_robot first.")
+        return NotReadyError(
+            f"The robot runs, but no joint state came within {_MEASURED_S:g} s; nothing was sent.",
+            hint="The machine may be overloaded: see get_status, and call again.",
+        )
+
+    def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
+        """Duration at which every joint uses at most a share of its velocity limit."""
+        needed = [0.5]
+        for name, value in target.items():
+            limit, start = self._limits[name], _position(joints, name)
+            distance, fastest = abs(value - start), limit.fastest(value, value > start)
+            needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
+            needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
+        return max(needed)
+
+    def _is_there(self, target: Mapping[str, float], joints: JointSample) -> bool:
+        profile = self._exposed.profile
+        assert profile is not None
+        left = self._left(target, joints)
+        return all(abs(value - _position(joints, name)) < profile.tolerance(name) for name, value in left.items())
+
+    def _left(self, target: Mapping[str, float], joints: JointSample) -> Mapping[str, float]:
+        """The targets, without that of a gripper which something keeps from closing: it grasps."""
+        gripper = self._grip.profile
+        if gripper is None or gripper.joint not in target:
+            return target
+        asked, measured = target[gripper.joint], _position(joints, gripper.joint)
+        if gripper.to_opening(measured) <= gripper.to_opening(asked):
+            return target
+        return {name: value for name, value in target.items() if name != gripper.joint}
+
+    def _commands(
+        self, target: Mapping[str, float], message: Any, duration_s: float, stage: Stage
+    ) -> Iterator[Command]:
+        """The trajectory, then waiting until the arm is measured at its end, at rest.
+
+        Raises:
+            StateError: the joints are not measured any more, or do not get there.
+        """
+        began_s = told_s = time.monotonic()
+        rest = _Rest(target)
+        yield Command(message=message, due_s=began_s)
+        while True:
+            now_s = time.monotonic()
+            joints = self._gate.newest_joints(self._exposed)
+            if joints is None:
+                raise StateError("The joints are not measured any more.", hint="See get_status.")
+            rests = rest.note(joints, now_s)
+            is_there = self._is_there(target, joints)
+            if is_there and rests and now_s - began_s >= duration_s * 0.9:
+                return
+            if now_s - began_s > duration_s + _SETTLE_S:
+                if is_there:  # within the tolerance, but it never rests: a joint that trembles
+                    return
+                off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
+                raise StateError(f"The joints do not come nearer to the target; they are off by {off} [rad or m].")
+            if now_s - told_s >= 0.5:
+                told_s = now_s
+                stage(f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} to go")
+            yield Command(message=None, due_s=now_s + 0.02)
+
+    def _answer(
+        self, target: Mapping[str, float], joints: JointSample, duration_s: float, allowed: bool, reason: str,
+        dry_run: bool,
+    ) -> JointMove:  # fmt: skip
+        return JointMove(
+            robot=self._exposed.robot,
+            position={name: round(_position(joints, name), 5) for name in target},
+            error=round(_error(self._left(target, joints), joints), 5),
+            duration_s=round(duration_s, 3),
+            dry_run=dry_run,
+            allowed=allowed,
+            reason=reason,
+        )
+
+
+def _message(target: Mapping[str, float], duration_s: float) -> Any:
+    """A JointTrajectory of one point."""
+    from builtin_interfaces.msg import Duration  # heavy
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # heavy
+
+    seconds, nanoseconds = divmod(round(duration_s * 1e9), 1_000_000_000)
+    point = JointTrajectoryPoint(
+        positions=[float(value) for value in target.values()],
+        time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
+    )
+    return JointTrajectory(joint_names=list(target), points=[point])
+
+
+def _position(joints: JointSample, name: str) -> float:
+    if name not in joints.names:
+        raise NotReadyError(f"Joint {name!r} is not measured.", hint="See get_status.")
+    return float(joints.position[joints.names.index(name)])
+
+
+def _error(target: Mapping[str, float], joints: JointSample) -> float:
+    return max((abs(value - _position(joints, name)) for name, value in target.items()), default=0.0)
+
+
+class _Rest:
+    """Tells from successive measurements whether some joints are at rest."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._names = tuple(names)
+        self._since_s: float | None = None
+        self._there: list[float] = []
+
+    def note(self, joints: JointSample, now_s: float) -> bool:
+        """Take a measurement; whether none of the joints has moved for a tenth of a second."""
+        here = [_position(joints, name) for name in self._names]
+        has_moved = not self._there or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
+        if self._since_s is None or has_moved:
+            self._since_s, self._there = now_s, here
+            return False
+        return now_s - self._since_s >= _REST_S

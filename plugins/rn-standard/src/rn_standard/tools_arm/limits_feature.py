@@ -1,0 +1,170 @@
+"""The feature: limits that a client tightens while it is connected, and that only a person loosens."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.tools_arm.limits_tools import limits_tools
+from rn_standard.tools_arm.tightening import FILE_NAME, Record, Tightening, TighteningFile
+from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
+from roboneuron.feature import LIMITS_PARAMETER, AuditRecord, ModuleKind, Slot, load_profile
+
+log = logging.getLogger(__name__)
+_LOOK_S = 0.5
+_SET_S, _START_S = 5.0, 120.0
+_END_S = 2.0
+
+
+class LimitsFeature(Feature[None]):
+    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the gate of the direct path."""
+
+    _host: Host
+    _file: TighteningFile
+    _profile: RobotProfile | None = None
+    _thread: threading.Thread | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See `Feature.tools`."""
+        self._host = host
+        self._file = TighteningFile(host.state_directory / FILE_NAME)
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._record = Record(tightening=Tightening(), who="", at_ns=0)
+        if host.config.control is None or host.config.robot.name not in host.registry.specs("robot"):
+            return ()
+        self._profile = load_profile(host.registry, host.config.robot.name)
+        host.events.change.listen(self._on_change)
+        return limits_tools(host, self.tighten, self.loosen)
+
+    def complete(self, host: Host) -> None:
+        """Apply what the file keeps. Raises ConfigurationError when it cannot be read."""
+        found = self._file.read() if self._profile is not None else None
+        if found is not None:
+            self._use(found)
+
+    def start(self, host: Host) -> None:
+        """Watch the file: a person may loosen the limits in a terminal."""
+        if self._profile is not None:
+            self._thread = threading.Thread(target=self._watch, name="limits", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """See `Feature.close`."""
+        if self._thread is not None:
+            self._stop.set()
+            self._thread.join(_END_S)
+
+    def tighten(self, more: Tightening, who: str, role: str) -> None:
+        """Let these limits hold as well, for everything that moves the robot, until a person loosens them.
+
+        Raises:
+            InvalidInputError: nothing would be left.
+            RefusedError: they hold, but could not be kept or audited.
+            NotReadyError: they hold for all but the running control, which did not take them.
+        """
+        with self._lock:
+            both = self._record.tightening.tighter(more)
+            if both == self._record.tightening:
+                return
+            record = Record(tightening=both, who=who, at_ns=time.time_ns())
+            self._use(record)  # first: a full disk must not keep the robot from being limited
+            self._tell_control()
+            self._file.write(record)
+            self._audit("tighten_limits", who, role, "tightened", more)
+
+    def loosen(self, who: str, role: str) -> None:
+        """Let the configured limits hold again; called because a person said so. Raises as `tighten`."""
+        with self._lock:
+            self._audit("loosen_limits", who, role, "loosened", self._record.tightening)
+            record = Record(tightening=Tightening(), who=who, at_ns=time.time_ns())
+            self._file.write(record)
+            self._use(record)
+            self._tell_control()
+
+    def _use(self, record: Record) -> None:
+        """From now on modules are started with these limits, and the gate judges by them; direct motion ends."""
+        assert self._profile is not None
+        supervisor, loop = self._host.supervisor, self._host.loop
+        limits = record.tightening.applied(loop.base.limits, self._profile)
+        supervisor.tightened = None if record.tightening.is_empty else limits
+        self._record = record
+        gate = gate_of(self._host)
+        gate.relimit()
+        gate.end_motions("The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited)
+
+    def _tell_control(self) -> None:
+        """Have every control that runs, or is about to, move within the limits.
+
+        Raises:
+            NotReadyError: one did not take them.
+        """
+        supervisor = self._host.supervisor
+        text = "" if supervisor.tightened is None else supervisor.tightened.model_dump_json()
+        for slot in list(supervisor.slots["control"]):
+            supervisor.changes.wait_for(partial(_has_started, slot), _START_S)
+            choice, process = slot.choice, slot.process
+            if slot.phase != "running" or choice is None or process is None:
+                continue
+            node = f"/{choice.settings.status_name}"
+            try:
+                refused = supervisor.parameters(node, process).set({LIMITS_PARAMETER: text}, _SET_S)
+            except RoboNeuronError as error:
+                refused = error.message
+            if refused:
+                raise NotReadyError(
+                    f"The running control did not take the limits: {refused}.",
+                    hint="They hold for direct motion and from the next start of control on: call stop_control.",
+                )
+
+    def _on_change(self, kind: ModuleKind) -> None:
+        """A control that was being started while the limits changed has the old ones."""
+        view = self._host.supervisor.view(kind)
+        if kind != "control" or view.phase != "running" or view.choice is None:
+            return
+        if view.choice.settings.tightened != self._host.supervisor.tightened:
+            threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
+
+    def _tell_quietly(self) -> None:
+        try:
+            with self._lock:
+                self._tell_control()
+        except RoboNeuronError as error:
+            log.error("%s", error)
+            self._host.events.fault.tell("control", "limits", {"explanation": error.message})
+
+    def _watch(self) -> None:
+        """Notice what a person did in a terminal; a file that vanished or was changed otherwise is written again."""
+        while not self._stop.wait(_LOOK_S):
+            with self._lock, suppress(RoboNeuronError):
+                self._look()
+
+    def _look(self) -> None:
+        try:
+            found = self._file.read()
+        except RoboNeuronError:
+            found = None
+        if found is not None and found.at_ns > self._record.at_ns and found.tightening.is_empty:
+            log.warning("The limits were loosened by %s.", found.who)
+            self._use(found)
+            self._tell_control()
+        elif (found is None or found.tightening != self._record.tightening) and not self._record.tightening.is_empty:
+            log.error("The tightened limits in %s were changed or removed; they are written again.", self._file.path)
+            self._file.write(self._record)
+
+    def _audit(self, tool: str, who: str, role: str, verdict: str, what: Tightening) -> None:
+        arguments = what.model_dump(exclude_defaults=True)
+        robot = self._host.config.robot.name
+        self._host.audit.write(
+            AuditRecord(who=who, role=role, tool=tool, verdict=verdict, robot=robot, arguments=arguments)
+        )
+
+
+def _has_started(slot: Slot) -> bool:
+    return slot.phase != "starting"

@@ -1,0 +1,71 @@
+"""The measured pose of the TCP, as control publishes it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from roboneuron import Host, NotReadyError, Pose
+
+_AGE_S = 0.5
+"""Older measurements are as good as none."""
+_POLL_S = 0.01
+
+
+class MeasuredPose:
+    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable from any thread."""
+
+    def __init__(self, host: Host, namespace: str) -> None:
+        self._host = host
+        self._topic = f"/{namespace}/ee_pose"
+        self._lock = threading.Lock()
+        self._is_open = False
+        self._newest: tuple[float, Any] | None = None
+        self.listeners: list[Callable[[float], object]] = []
+        """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
+
+    def wait(self, timeout_s: float) -> Pose:
+        """The pose, no older than 0.5 s; waits for one.
+
+        Raises:
+            NotReadyError: control publishes none.
+            RoboNeuronError: ROS cannot be joined.
+        """
+        self.open()
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            newest = self._newest
+            if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
+                return _pose(newest[1])
+            if time.monotonic() > deadline_s:
+                raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
+            time.sleep(_POLL_S)
+
+    def open(self) -> None:
+        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot be joined."""
+        _ = self._host.graph  # first: two threads must not import rclpy at the same time
+        from geometry_msgs.msg import PoseStamped  # heavy
+
+        with self._lock:
+            if not self._is_open:
+                self._host.subscribe(PoseStamped, self._topic, self._take)
+                self._is_open = True
+
+    def _take(self, message: Any) -> None:
+        self._newest = time.monotonic(), message
+        for listener in self.listeners:
+            listener(float(message.pose.position.z))
+
+
+def _pose(message: Any) -> Pose:
+    """geometry_msgs/PoseStamped -> Pose."""
+    stamp, p, q = message.header.stamp, message.pose.position, message.pose.orientation
+    return Pose(
+        position_m=np.array([p.x, p.y, p.z]),
+        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
+        stamp_ns=stamp.sec * 1_000_000_000 + stamp.nanosec,
+    )

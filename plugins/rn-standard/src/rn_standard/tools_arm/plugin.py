@@ -1,0 +1,39 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="tools-arm",
+    summary="move_joints and move_ee: joint targets and end-effector deltas of an arm, within the limits.",
+    target="rn_standard.tools_arm.feature:ArmTools",
+    config="rn_standard.tools_arm.options:ArmToolsOptions",
+    needs=("direct-path",),
+)
+"""Descriptor of the feature."""
+
+LIMITS = FeatureSpec(
+    name="limits",
+    summary="tighten_limits: limits that clients tighten at run time and only a person loosens.",
+    target="rn_standard.tools_arm.limits_feature:LimitsFeature",
+    needs=("direct-path",),
+)
+"""Descriptor of the feature that tightens limits."""
+
+COMMAND = CommandSpec(
+    name="limits",
+    summary="show the limits that clients have tightened, and loosen them",
+    target="rn_standard.limits.command:Limits",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE, LIMITS)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)

@@ -1,0 +1,75 @@
+"""Prediction of what an arm does with actions: controller and limits of control, on joints that follow at once."""
+
+from __future__ import annotations
+
+from rn_standard.direct_path.allow_list import ArmPaths
+from rn_standard.direct_path.exposed import Exposed
+from roboneuron import Action, Controller, Hold, Host, JointCommand, JointSample, Pose
+from roboneuron.feature import MotionLimiter, inspector_of
+
+
+def control_of(host: Host, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
+    """Controller and limits as control has them, for one user, who closes the controller.
+
+    Raises:
+        ConfigurationError, MissingDependencyError, PluginError: there is no controller for the arm of that endpoint.
+    """
+    assert exposed.profile is not None
+    config = host.loop.base
+    paths = ArmPaths(config, lambda: host.registry, lambda: host.loop.limits)
+    controller, profile = paths.load(exposed.robot, exposed.profile)
+    limiter = MotionLimiter(
+        paths.rules(exposed.robot, profile),
+        profile,
+        controller.forward,
+        inspector_of(controller),
+        immediate=config.control is not None and config.control.command == "joint_state",
+        longest_s=config.robot.server_timeout_s,
+    )
+    return controller, limiter
+
+
+class PredictedArm:
+    """An arm in computation only; used from one thread.
+
+    Attributes:
+        held: why the newest action was not carried out; empty when it was, shortened or not.
+    """
+
+    def __init__(self, controller: Controller, limiter: MotionLimiter, joints: JointSample) -> None:
+        """Args:
+        controller, limiter: as control has them, but used by nobody else; the controller is loaded.
+        joints: where the arm starts, at rest.
+        """
+        self.held = ""
+        self._controller, self._limiter, self._joints = controller, limiter, joints
+        self._now_s = 0.0
+        limiter.rest(joints, self._now_s)
+
+    def pose(self) -> Pose:
+        """TCP pose in the base frame. Raises UnsafeError as `Controller.forward`."""
+        return self._controller.forward(self._joints)
+
+    def follow(self, action: Action, step_s: float) -> None:
+        """Carry out an action for `step_s`, as far as the limits allow; the arm stays where one holds it."""
+        self._now_s += step_s
+        outcome: JointCommand | Hold | None = self._controller.compute(action, self._joints, step_s)
+        self.held = outcome.reason if isinstance(outcome, Hold) else ""
+        if isinstance(outcome, JointCommand):
+            verdict = self._limiter.limit(outcome, self._joints, self._now_s)
+            outcome = verdict.command
+            if not isinstance(outcome, JointCommand):
+                self.held = verdict.reason
+        if not isinstance(outcome, JointCommand):
+            self._limiter.rest(self._joints, self._now_s)
+            return
+        share = min(1.0, step_s / outcome.duration_s)
+        ends = dict(zip(outcome.names, outcome.position.tolist(), strict=True))
+        position = self._joints.position.copy()
+        for index, name in enumerate(self._joints.names):
+            position[index] += share * (ends.get(name, position[index]) - position[index])
+        self._joints = JointSample(names=self._joints.names, position=position, stamp_ns=self._joints.stamp_ns)
+
+    def close(self) -> None:
+        """Release the controller; may be called twice."""
+        self._controller.close()

@@ -1,0 +1,167 @@
+"""Limits that a client has tightened: their values, what they make of the configured ones, and their file."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from roboneuron import ConfigurationError, InvalidInputError, RefusedError, RobotProfile
+from roboneuron.feature import LimitsConfig, ZoneConfig, motion_rules
+
+FILE_NAME = "limits.tightened.json"
+_MOST_ZONES = 16
+_FAR_M = 100.0
+_MAX_BYTES = 65536
+_AXES = ("x", "y", "z")
+Metres = Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
+Corner = Annotated[list[Metres], Field(min_length=3, max_length=3)]
+
+
+class Box(BaseModel):
+    """A box in the base frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    lower_m: Corner
+    upper_m: Corner
+
+
+class Tightening(BaseModel):
+    """What is tighter than configured; None where nothing is."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    max_speed_m_s: Annotated[float, Field(gt=0, le=3)] | None = None
+    acceleration: Annotated[float, Field(gt=0, le=1)] | None = None
+    x_min_m: Metres | None = None
+    x_max_m: Metres | None = None
+    y_min_m: Metres | None = None
+    y_max_m: Metres | None = None
+    z_min_m: Metres | None = None
+    z_max_m: Metres | None = None
+    keep_out: tuple[Box, ...] = ()
+
+    def tighter(self, more: Tightening) -> Tightening:
+        """Both together: of each number the tighter one.
+
+        Raises:
+            InvalidInputError: there are too many boxes.
+        """
+        boxes = tuple(dict.fromkeys((*map(_frozen, self.keep_out), *map(_frozen, more.keep_out))))
+        if len(boxes) > _MOST_ZONES:
+            raise InvalidInputError(
+                f"There would be {len(boxes)} boxes to keep out of, at most {_MOST_ZONES} are kept."
+            )
+        made: dict[str, Any] = {"keep_out": [{"lower_m": lower, "upper_m": upper} for lower, upper in boxes]}
+        for name in type(self).model_fields:
+            if name != "keep_out":
+                values = [v for v in (getattr(self, name), getattr(more, name)) if v is not None]
+                made[name] = (max if name.endswith("_min_m") else min)(values, default=None)
+        return Tightening.model_validate(made)
+
+    def applied(self, configured: LimitsConfig, profile: RobotProfile) -> LimitsConfig:
+        """The configured limits with these; never wider than either, or than the robot's workspace.
+
+        Raises:
+            InvalidInputError: nothing would be left of the workspace, or a box is none.
+        """
+        lower, upper = _workspace(configured, profile)
+        for index, axis in enumerate(_AXES):
+            low, high = getattr(self, f"{axis}_min_m"), getattr(self, f"{axis}_max_m")
+            lower[index] = max(lower[index], -_FAR_M if low is None else low)
+            upper[index] = min(upper[index], _FAR_M if high is None else high)
+        boxes = [
+            ZoneConfig(name=f"kept out {number}", lower_m=box.lower_m, upper_m=box.upper_m)
+            for number, box in enumerate(self.keep_out, 1)
+        ]
+        changes: dict[str, Any] = {
+            "workspace_lower_m": lower,
+            "workspace_upper_m": upper,
+            "zones": (*configured.zones, *boxes),
+            "max_speed_m_s": min(configured.max_speed_m_s, self.max_speed_m_s or np.inf),
+            "acceleration_fraction": min(configured.acceleration_fraction, self.acceleration or 1.0),
+        }
+        made = configured.model_copy(update=changes)
+        try:
+            motion_rules(made, profile)
+        except ConfigurationError as error:
+            raise InvalidInputError(f"These limits leave nothing: {error.message}") from error
+        return made
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing is tightened."""
+        return self == Tightening()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Record:
+    """What the file says: the limits, who set them, and when."""
+
+    tightening: Tightening
+    who: str
+    at_ns: int
+
+
+class TighteningFile:
+    """Keeps them in the state directory, so that neither a module nor a server that starts again loosens them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def read(self) -> Record | None:
+        """What was written last; None when there is no file.
+
+        Raises:
+            ConfigurationError: it cannot be read; says what to do.
+        """
+        try:
+            with self.path.open(encoding="utf-8") as file:
+                told = json.loads(file.read(_MAX_BYTES))
+            tightening = Tightening.model_validate(told["tightened"])
+            return Record(tightening=tightening, who=str(told["who"])[:200], at_ns=int(told["at_ns"]))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
+            raise ConfigurationError(
+                f"The tightened limits in {self.path} cannot be read: {type(error).__name__}.",
+                hint="A person writes them anew: roboneuron limits --loosen.",
+            ) from error
+
+    def write(self, record: Record) -> None:
+        """Write it whole or not at all.
+
+        Raises:
+            RefusedError: it cannot be written.
+        """
+        text = {"tightened": record.tightening.model_dump(), "who": record.who, "at_ns": record.at_ns}
+        part = self.path.with_suffix(f".{os.getpid()}.part")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            part.write_text(json.dumps(text), encoding="utf-8")
+            part.replace(self.path)
+        except OSError as error:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise RefusedError(
+                f"The limits cannot be kept in {self.path}: {error.strerror}.", hint="Mend the state directory."
+            ) from error
+
+
+def _frozen(box: Box) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return tuple(box.lower_m), tuple(box.upper_m)
+
+
+def _workspace(configured: LimitsConfig, profile: RobotProfile) -> tuple[list[float], list[float]]:
+    """The configured corners, or the robot's own."""
+    own = profile.workspace
+    lower = configured.workspace_lower_m or ([-_FAR_M] * 3 if own is None else own.lower_m.tolist())
+    upper = configured.workspace_upper_m or ([_FAR_M] * 3 if own is None else own.upper_m.tolist())
+    return list(lower), list(upper)

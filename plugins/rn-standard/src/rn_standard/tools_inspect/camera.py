@@ -1,0 +1,171 @@
+"""One camera image for the agent: subscribed on demand, decoded, encoded as a file."""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from roboneuron import (
+    Arguments,
+    CallContext,
+    ConfigurationError,
+    Frame,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    Picture,
+    Reply,
+    Result,
+    RobotSpec,
+    Tool,
+    frame_from_buffer,
+)
+from roboneuron.feature import Changes
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import Image
+
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+Format = Literal["jpeg", "png"]
+_JPEG_QUALITY = 90
+
+
+class GetCameraImage(Arguments):
+    """Arguments of get_camera_image."""
+
+    camera: str | None = Field(default=None, description="Which camera of the robot; the first one when omitted.")
+    format: Format = Field(default="jpeg", description="jpeg is small, png is exact.")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for it [s].")
+
+
+class CameraImage(Result):
+    """What is known of the image that comes beside this."""
+
+    camera: str
+    width_px: int
+    height_px: int
+    stamp_ns: int = Field(description="capture time, ROS clock")
+    age_ms: float = Field(description="time from its capture to this answer")
+    frame_id: str = Field(description="the camera's optical frame")
+
+
+def camera_tool(host: Host) -> Tool[Any]:
+    """get_camera_image."""
+
+    async def get_camera_image(arguments: GetCameraImage, context: CallContext) -> Reply:
+        return await context.run(lambda _: _answer(host, arguments))
+
+    return Tool(
+        name="get_camera_image",
+        title="Look through a camera",
+        description="The next image of a camera. Needs start_perception.",
+        arguments=GetCameraImage,
+        result=CameraImage,
+        handler=get_camera_image,
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+        choices={"camera": host.loop.camera_roles},
+    )
+
+
+def _answer(host: Host, arguments: GetCameraImage) -> Reply:
+    camera = arguments.camera or next(iter(host.loop.camera_roles()), "")
+    frame = read_frame(host, camera, arguments.timeout_s)
+    height, width = frame.image.shape[:2]
+    facts = CameraImage(
+        camera=camera,
+        width_px=width,
+        height_px=height,
+        stamp_ns=frame.stamp_ns,
+        age_ms=round((time.time_ns() - frame.stamp_ns) / 1e6, 1),
+        frame_id=frame.frame_id,
+    )
+    return Reply(result=facts, pictures=(encode(frame, arguments.format),))
+
+
+def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
+    """The next image that the camera publishes; blocks for at most `timeout_s`.
+
+    Raises:
+        ConfigurationError: the topic carries another type.
+        InvalidInputError: the robot has no such camera, or the image is damaged or of an unknown encoding.
+        NotReadyError: nobody publishes, or nothing came in time.
+    """
+    check_camera(host, camera)
+    graph = host.graph  # first: two threads must not import rclpy at the same time
+    from sensor_msgs.msg import Image  # heavy
+
+    topic = f"/{host.config.namespace}/camera/{camera}/image"
+    changes, deadline_s = Changes(), time.monotonic() + timeout_s
+    publishers = changes.wait_for(lambda: graph.get_publishers_info_by_topic(topic) or None, timeout_s)
+    if not publishers:
+        raise NotReadyError(f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host))
+    foreign = [info.topic_type for info in publishers if info.topic_type != IMAGE_TYPE]
+    if foreign:
+        raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, expected {IMAGE_TYPE}.")
+    received: list[Image] = []
+
+    def take(message: Image) -> None:
+        received.append(message)
+        changes.notify()
+
+    unsubscribe = host.subscribe(Image, topic, take)
+    try:
+        arrived = changes.wait_for(lambda: bool(received), max(0.0, deadline_s - time.monotonic()))
+    finally:
+        unsubscribe()
+    if not arrived:
+        raise NotReadyError(
+            f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.", hint=_hint(host)
+        )
+    return _frame(received[0], camera)
+
+
+def encode(frame: Frame, form: Format) -> Picture:
+    """The frame as a PNG (exact) or JPEG (small) file."""
+    from PIL import Image as Pillow  # heavy
+
+    buffer = io.BytesIO()
+    picture = Pillow.fromarray(frame.image)
+    if form == "png":
+        picture.save(buffer, "PNG", compress_level=3)
+    else:
+        picture.save(buffer, "JPEG", quality=_JPEG_QUALITY)
+    return Picture(data=buffer.getvalue(), mime_type=f"image/{form}")
+
+
+def check_camera(host: Host, camera: str) -> None:
+    """Raises InvalidInputError, with the choices, when the robot has no such camera."""
+    spec = host.registry.get(RobotSpec, host.config.robot.name)
+    known = [camera.name for camera in spec.cameras]
+    if camera not in known:
+        raise InvalidInputError(
+            f"Robot {spec.name!r} has no camera {camera!r}.",
+            hint=f"Choose one of: {', '.join(known)}." if known else "It has none.",
+            path="camera",
+        )
+
+
+def _hint(host: Host) -> str:
+    view = host.supervisor.view("perception")
+    if view.phase == "running" and view.choice is not None:
+        return f"Perception runs with the cameras: {view.choice.names.get('cameras', 'none')}."
+    if view.phase in ("starting", "stopping"):
+        return f"Perception is {view.phase}: wait for that, then try again."
+    if view.phase == "exited":
+        return "Perception ended by itself: see get_logs. Unless it is restarted by itself, call start_perception."
+    return "Call start_perception first."
+
+
+def _frame(message: Image, camera: str) -> Frame:
+    stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+    if stamp_ns <= 0:
+        raise InvalidInputError(f"An image of camera {camera!r} carries no capture time in header.stamp.")
+    pixels = frame_from_buffer(
+        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+    )
+    return Frame(camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera)

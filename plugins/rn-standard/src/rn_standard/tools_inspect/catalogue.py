@@ -1,0 +1,279 @@
+"""The tools that list what is installed: backends, runtimes, accelerations, sources, controllers, robots."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from roboneuron import (
+    AccelerationSpec,
+    BackendSpec,
+    CallContext,
+    ControllerSpec,
+    Host,
+    NoArguments,
+    PerceptionSpec,
+    Result,
+    RobotSpec,
+    RuntimeSpec,
+    Tool,
+)
+from roboneuron.feature import Offer, Registry, RobotConfig
+
+
+class Entry(Result):
+    """One installed thing."""
+
+    name: str
+    summary: str
+    package: str = Field(description="the distribution it comes from")
+    status: str = Field(description="ready, or why it cannot be used: disabled, unavailable, incompatible ...")
+    reason: str = Field(default="", description="why it is not ready, and what to do")
+
+
+class Backend(Entry):
+    """A policy."""
+
+    needs_checkpoint: bool = Field(description="start_inference must name a checkpoint directory")
+    needs_state: bool = Field(description="it reads joints and end-effector pose, so control must run")
+    cameras: list[str] = Field(description="camera roles it needs")
+    optional_cameras: list[str]
+    family: str = Field(description="model family; empty when it takes neither runtime nor acceleration")
+    default_runtime: str
+    runtimes: list[str] = Field(description="installed runtimes that fit")
+    accelerations: list[str] = Field(description="installed accelerations that know its family")
+
+
+class Runtime(Entry):
+    """An engine that executes models."""
+
+    families: list[str]
+    capabilities: list[str]
+    served: bool = Field(description="the model runs in another process or on another host")
+
+
+class Acceleration(Entry):
+    """A preset."""
+
+    families: list[str]
+    capability: str = Field(description="what the runtime must offer")
+
+
+class PerceptionSource(Entry):
+    """A source of images."""
+
+    robots: list[str] = Field(description="robots it serves; any when empty")
+    drivers: list[str] = Field(description="robot drivers it needs; any when empty")
+
+
+class Controller(Entry):
+    """What turns actions into joint commands."""
+
+    robot_kinds: list[str]
+
+
+class Driver(Result):
+    """One way to move a robot."""
+
+    name: str
+    summary: str
+    kind: Literal["real", "simulated"] = Field(description="real unless the driver declares that it is simulated")
+    configured: bool = Field(description="start_robot uses it when nothing else is named")
+
+
+class Camera(Result):
+    """A camera a robot has."""
+
+    name: str
+    role: str
+
+
+class Robot(Entry):
+    """A robot model."""
+
+    kind: str
+    configured: bool = Field(description="start_robot starts it when nothing else is named")
+    drivers: list[Driver]
+    cameras: list[Camera]
+
+
+class Backends(Result):
+    """Answer of list_backends."""
+
+    backends: list[Backend]
+
+
+class Runtimes(Result):
+    """Answer of list_runtimes."""
+
+    runtimes: list[Runtime]
+
+
+class Accelerations(Result):
+    """Answer of list_accelerations."""
+
+    accelerations: list[Acceleration]
+
+
+class PerceptionSources(Result):
+    """Answer of list_perception_sources."""
+
+    perception_sources: list[PerceptionSource]
+
+
+class Controllers(Result):
+    """Answer of list_controllers."""
+
+    controllers: list[Controller]
+
+
+class Robots(Result):
+    """Answer of list_robots."""
+
+    robots: list[Robot]
+
+
+def _common(offer: Offer) -> dict[str, str]:
+    return {
+        "name": offer.spec.name,
+        "summary": offer.spec.summary,
+        "package": offer.distribution,
+        "status": str(offer.status),
+        "reason": offer.reason,
+    }
+
+
+def backends(registry: Registry) -> Backends:
+    """All backends, with the runtimes and accelerations that fit each."""
+    runtimes, accelerations = registry.specs(RuntimeSpec), registry.specs(AccelerationSpec)
+    return Backends(
+        backends=[
+            Backend(
+                **_common(offer),
+                needs_checkpoint=spec.needs_checkpoint,
+                needs_state=spec.needs_state,
+                cameras=list(spec.cameras),
+                optional_cameras=list(spec.optional_cameras),
+                family=spec.family,
+                default_runtime=spec.default_runtime,
+                runtimes=[r.name for r in runtimes.values() if spec.family and spec.family in r.families],
+                accelerations=[a.name for a in accelerations.values() if spec.family and spec.family in a.families],
+            )
+            for offer in registry.offers("backend")
+            if isinstance(spec := offer.spec, BackendSpec)
+        ]
+    )
+
+
+def runtimes(registry: Registry) -> Runtimes:
+    """All runtimes."""
+    return Runtimes(
+        runtimes=[
+            Runtime(
+                **_common(offer),
+                families=list(spec.families),
+                capabilities=list(spec.capabilities),
+                served=spec.served,
+            )
+            for offer in registry.offers("runtime")
+            if isinstance(spec := offer.spec, RuntimeSpec)
+        ]
+    )
+
+
+def accelerations(registry: Registry) -> Accelerations:
+    """All acceleration presets."""
+    return Accelerations(
+        accelerations=[
+            Acceleration(**_common(offer), families=list(spec.families), capability=spec.capability)
+            for offer in registry.offers("acceleration")
+            if isinstance(spec := offer.spec, AccelerationSpec)
+        ]
+    )
+
+
+def perception_sources(registry: Registry) -> PerceptionSources:
+    """All sources of images."""
+    return PerceptionSources(
+        perception_sources=[
+            PerceptionSource(**_common(offer), robots=list(spec.robots), drivers=list(spec.drivers))
+            for offer in registry.offers("perception")
+            if isinstance(spec := offer.spec, PerceptionSpec)
+        ]
+    )
+
+
+def controllers(registry: Registry) -> Controllers:
+    """All controllers."""
+    return Controllers(
+        controllers=[
+            Controller(**_common(offer), robot_kinds=list(spec.robot_kinds))
+            for offer in registry.offers("controller")
+            if isinstance(spec := offer.spec, ControllerSpec)
+        ]
+    )
+
+
+def robots(registry: Registry, configured: RobotConfig) -> Robots:
+    """All robots; which one, by which driver, `configured` says."""
+    return Robots(
+        robots=[
+            Robot(
+                **_common(offer),
+                kind=spec.robot_kind,
+                configured=spec.name == configured.name,
+                drivers=[
+                    Driver(
+                        name=driver.name,
+                        summary=driver.summary,
+                        kind="simulated" if driver.simulated else "real",
+                        configured=(spec.name, driver.name) == (configured.name, configured.driver),
+                    )
+                    for driver in spec.drivers
+                ],
+                cameras=[Camera(name=c.name, role=c.role) for c in spec.cameras],
+            )
+            for offer in registry.offers("robot")
+            if isinstance(spec := offer.spec, RobotSpec)
+        ]
+    )
+
+
+_LISTS: tuple[tuple[str, str, type[Result], Any], ...] = (
+    (
+        "list_robots",
+        "robots, with their drivers (real or simulated, and which one is configured) and cameras",
+        Robots,
+        robots,
+    ),
+    ("list_perception_sources", "sources of camera images", PerceptionSources, perception_sources),
+    ("list_controllers", "controllers", Controllers, controllers),
+    ("list_backends", "backends (policies), with the runtimes and accelerations that fit each", Backends, backends),
+    ("list_runtimes", "runtimes that execute models for backends", Runtimes, runtimes),
+    ("list_accelerations", "acceleration presets", Accelerations, accelerations),
+)
+
+
+def catalogue_tools(host: Host) -> list[Tool[Any]]:
+    """One tool for each kind of plugin."""
+
+    def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[Any]:
+        async def handler(_: NoArguments, context: CallContext) -> Result:
+            given = (host.registry, host.loop.base.robot) if result is Robots else (host.registry,)
+            answer: Result = build(*given)
+            return answer
+
+        return Tool(
+            name=name,
+            title=f"List {name.removeprefix('list_').replace('_', ' ')}",
+            description=f"List the installed {what}.",
+            arguments=NoArguments,
+            result=result,
+            handler=handler,
+            read_only=True,
+            idempotent=True,
+            seldom=True,
+        )
+
+    return [tool(*entry) for entry in _LISTS]

@@ -1,0 +1,18 @@
+"""The feature: tools that change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rn_standard.tools_inspect.camera import camera_tool
+from rn_standard.tools_inspect.catalogue import catalogue_tools
+from roboneuron import Feature, Host, Tool
+
+
+class InspectionTools(Feature[None]):
+    """get_camera_image, and one list_* tool for each kind of plugin that the closed loop is made of."""
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See Feature."""
+        return [camera_tool(host), *catalogue_tools(host)]

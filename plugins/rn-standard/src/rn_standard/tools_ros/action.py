@@ -1,0 +1,123 @@
+"""send_<name>_goal: a ROS action as a tool; feedback is progress, and no goal outlives the call that sent it."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from typing import Any, Literal
+
+from pydantic import Field
+
+from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import gate_request
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.exposed_types import action_of
+from rn_standard.tools_ros.goals import GoalEnd, send_goal
+from rn_standard.tools_ros.interfaces import ActionInterface
+from rn_standard.tools_ros.schemas import decoded_schema
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import CallContext, StateError
+from roboneuron.feature import Stage
+
+_FEEDBACK_PERIOD_S = 0.1
+_LONGEST_S = 60.0
+
+
+class SendGoal(SendingCall):
+    """Arguments of an action tool."""
+
+    goal: Value = Field(default_factory=dict)
+    timeout_s: float | None = Field(
+        default=None, gt=0, description="How long the goal may take, in seconds; then it is cancelled."
+    )
+    server_timeout_s: float = Field(
+        default=2.0, ge=0, le=60, description="How long to wait for the action server, in seconds."
+    )
+
+
+class GoalResult(Judged):
+    """How the goal ended; a dry run has no result."""
+
+    robot: str
+    action: str
+    type: str
+    status: Literal["succeeded", ""] = Field(description="empty in a dry run")
+    result: Value = Field(default_factory=dict)
+    feedbacks: int = Field(description="how many feedback messages came")
+    took_s: float
+
+
+def goal_model(targets: Targets) -> Derived[GoalResult]:
+    """The result, with the schema of the decoded one of the action."""
+    interface = action_of(targets.first)
+    own: dict[str, dict[str, Any]] = {name: {} for name in GoalResult.model_fields}
+    required = [name for name in own if name != "result"]
+    return Derived(model=GoalResult, properties=own | {"result": decoded_schema(interface.result)}, required=required)
+
+
+class GoalSending:
+    """The handler of one action tool."""
+
+    def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
+        self._gate = gate
+        self._targets = targets
+        self._tool = tool
+        self.timeout_s = min(_LONGEST_S, gate.max_duration_s)
+
+    async def __call__(self, arguments: SendGoal, context: CallContext) -> GoalResult:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        exposed = self._targets.of(arguments.robot)
+        interface = action_of(exposed)
+        timeout_s = arguments.timeout_s or self.timeout_s
+        message = encode_argument(interface.goal, arguments.goal, "goal")
+        request = gate_request(
+            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run,
+            joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
+        )  # fmt: skip
+        halt = threading.Event()
+
+        def work(stage: Stage) -> tuple[GoalEnd, _Progress]:
+            progress = _Progress(interface, stage)
+            end = send_goal(
+                self._gate, exposed, request,
+                timeout_s=timeout_s, server_s=arguments.server_timeout_s, halt=halt, on_feedback=progress.take,
+            )  # fmt: skip
+            return end, progress
+
+        end, progress = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
+        decoded: dict[str, Any] = {"result": interface.result.decode(end.result)} if end.status else {}
+        if end.status not in ("succeeded", ""):
+            raise StateError(
+                f"The goal of {exposed.topic} was {end.status} after {end.took_s:.2f} s; "
+                f"result: {json.dumps(decoded['result'])[:500]}."
+            )
+        return GoalResult(
+            robot=exposed.robot,
+            action=exposed.topic,
+            type=exposed.endpoint.type,
+            status="succeeded" if end.status else "",
+            feedbacks=progress.count,
+            took_s=round(end.took_s, 6),
+            **verdict_fields(end.verdict),
+            **decoded,
+        )
+
+
+class _Progress:
+    """Turns feedback into progress, not more often than an agent can use."""
+
+    def __init__(self, interface: ActionInterface, stage: Stage) -> None:
+        self._interface = interface
+        self._stage = stage
+        self._told_s = 0.0
+        self.count = 0
+
+    def take(self, feedback: Any) -> None:
+        """Called on the executor's thread."""
+        self.count += 1
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _FEEDBACK_PERIOD_S:
+            self._told_s = now_s
+            self._stage(json.dumps(self._interface.feedback.decode(feedback))[:1000])

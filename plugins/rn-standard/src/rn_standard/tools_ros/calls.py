@@ -1,0 +1,70 @@
+"""What the handlers of derived tools share: arguments, results, encoding messages, telling the gate's verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.direct_path.request import Verdict
+from rn_standard.tools_ros.interfaces import MessageInterface
+from roboneuron import Arguments, InvalidInputError, Result
+
+Value = dict[str, Any]
+"""A ROS message as an agent gives it, or reads it."""
+
+
+class RobotCall(Arguments):
+    """Arguments of a call that is about one robot's endpoint."""
+
+    robot: str = Field(default="", description="Which robot.")
+
+
+class SendingCall(RobotCall):
+    """Arguments of a call that sends something."""
+
+    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+
+
+class PublishingCall(SendingCall):
+    """Arguments of a call that publishes."""
+
+    timeout_s: float = Field(default=5.0, ge=0, le=60, description="How long to wait for a subscriber, in seconds.")
+
+
+class Judged(Result):
+    """Result of what may be refused."""
+
+    dry_run: bool = Field(description="it was only a question; nothing was sent")
+    allowed: bool
+    rule: str = Field(description="dry run: the rule that would refuse")
+    reason: str = Field(description="dry run: why")
+
+
+def verdict_fields(verdict: Verdict) -> dict[str, Any]:
+    """The values of `Judged`."""
+    return {
+        "dry_run": verdict.dry_run,
+        "allowed": verdict.allowed,
+        "rule": verdict.rule,
+        "reason": verdict.reason,
+    }
+
+
+def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str) -> Any:
+    """The value of argument `name` as a message; raises InvalidInputError with the path inside the arguments."""
+    try:
+        return part.encode(value, now_ns=time.time_ns())
+    except InvalidInputError as error:
+        path = f"{name}.{error.path}" if error.path else name
+        raise InvalidInputError(f"{name}: {error.message}", hint=error.hint, path=path) from error
+
+
+def duration_s(trajectory: Any) -> float:
+    """When the last point of a JointTrajectory is reached, in seconds after it was sent."""
+    if not trajectory.points:
+        return 0.0
+    last = trajectory.points[-1].time_from_start
+    return float(last.sec + last.nanosec * 1e-9)

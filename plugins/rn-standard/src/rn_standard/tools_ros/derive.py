@@ -1,0 +1,185 @@
+"""From exposed endpoints to tools: grouping by robot, names, schemas, descriptions, annotations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.tools_ros.action import GoalSending, SendGoal, goal_model
+from rn_standard.tools_ros.exposed_types import action_of, message_of, service_of
+from rn_standard.tools_ros.naming import tool_name
+from rn_standard.tools_ros.publish import Delivery, Publish, Publishing
+from rn_standard.tools_ros.read import Read, Reading, messages_model
+from rn_standard.tools_ros.schemas import hull, message_schema
+from rn_standard.tools_ros.sequence import PublishSequence, Sequencing
+from rn_standard.tools_ros.service import Calling, CallService, served_model
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import Host, Tool
+from roboneuron.feature import Schema
+
+_SENT = "Fails when nobody subscribes."
+
+
+def derive_tools(endpoints: Iterable[Exposed], host: Host, taken: Collection[str]) -> list[Tool[Any]]:
+    """The tools of the endpoints, in their order; those of one label, kind and type are one tool for all robots.
+
+    Args:
+        endpoints: what is exposed.
+        host: what they read and send through.
+        taken: names that other tools have.
+    """
+    groups: dict[tuple[str, str, str], list[Exposed]] = {}
+    for exposed in endpoints:
+        groups.setdefault((exposed.endpoint.kind, exposed.label, exposed.endpoint.type), []).append(exposed)
+    names = set(taken)
+    tools: list[Tool[Any]] = []
+    for (kind, label, _), members in groups.items():
+        targets = Targets(members)
+        uses = ["publish", "sequence"] if kind == "publish" else [kind]
+        for use in uses:
+            name = tool_name(use, label, targets.first.robot, names)
+            names.add(name)
+            tools.append(_make(use, name, label.replace("_", " "), targets, host))
+    return tools
+
+
+def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    makers = {"publish": _publish, "sequence": _sequence, "read": _read, "service": _service, "action": _action}
+    return makers[use](name, noun, targets, host)
+
+
+def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
+    message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
+    properties = {**targets.schema(), "message": message}
+    lasts = ""
+    if targets.lasting:
+        properties["duration_s"] = {"maximum": gate.max_duration_s}
+        stops = any(e.endpoint.stop_message for e in targets.endpoints)
+        lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
+    elif targets.trajectory:
+        lasts = "Returns when its time is over; cancelling the call ends it, the joints hold then. "
+    properties |= {"timeout_s": {}, "dry_run": {}}
+    return Tool(
+        name=name,
+        title=f"Publish {noun}",
+        description=f"{targets.describe()} {lasts}{_SENT}",
+        arguments=Derived(
+            model=Publish,
+            properties=properties,
+            required=_required(targets, "message", message_of(targets.first).fields),
+        ),
+        result=Delivery,
+        handler=Publishing(gate, targets, name),
+        open_world=True,
+    )
+
+
+def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
+    needed = [
+        *(["message"] if message_of(targets.first).fields else []),
+        *([] if targets.trajectory else ["duration_s"]),
+    ]
+    step: Schema = {
+        "type": "object",
+        "properties": {
+            "message": {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."},
+            "duration_s": {
+                "type": "number", "exclusiveMinimum": 0, "maximum": gate.max_duration_s,
+                "description": "How long this step lasts, in seconds.",
+            },
+        },
+        "additionalProperties": False,
+        "required": needed,
+    }  # fmt: skip
+    if not needed:
+        del step["required"]
+    steps: Schema = {"items": step, "description": "Messages in order, each with the time it lasts."}
+    stops = any(e.endpoint.stop_message for e in targets.endpoints)
+    end = "It always ends with the stop message, also when it is cancelled or fails. " if stops else ""
+    return Tool(
+        name=name,
+        title=f"Publish {noun}, step by step",
+        description=(
+            f"{targets.describe()} Plays the steps one after the other, at most {gate.max_duration_s:g} s, and "
+            f"returns at the end; cancelling the call or emergency_stop ends it at once. {end}{_SENT}"
+        ),
+        arguments=Derived(
+            model=PublishSequence,
+            properties={**targets.schema(), "steps": steps, "times": {}, "timeout_s": {}, "dry_run": {}},
+            required=[*targets.arguments, "steps"],
+        ),
+        result=Delivery,
+        handler=Sequencing(gate, targets, name),
+        open_world=True,
+        seldom=True,
+    )
+
+
+def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    return Tool(
+        name=name,
+        title=f"Read {noun}",
+        description=f"{targets.describe()} The latched message, or the next one that comes; with `count` the next n.",
+        arguments=Derived(
+            model=Read, properties={**targets.schema(), "count": {}, "timeout_s": {}}, required=targets.arguments
+        ),
+        result=messages_model(targets),
+        handler=Reading(host, targets, name),
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+    )
+
+
+def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    interface = service_of(targets.first)
+    request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
+    return Tool(
+        name=name,
+        title=f"Call {noun}",
+        description=f"{targets.describe()} Calls the service and returns its response.",
+        arguments=Derived(
+            model=CallService,
+            properties={**targets.schema(), "request": request, "timeout_s": {}, "dry_run": {}},
+            required=_required(targets, "request", interface.request.fields),
+        ),
+        result=served_model(targets),
+        handler=Calling(gate_of(host), targets, name),
+        open_world=True,
+    )
+
+
+def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+    gate = gate_of(host)
+    interface = action_of(targets.first)
+    sending = GoalSending(gate, targets, name)
+    properties = {
+        **targets.schema(),
+        "goal": message_schema(interface.goal, hull([e.endpoint for e in targets.endpoints])),
+        "timeout_s": {"maximum": gate.max_duration_s, "default": sending.timeout_s},
+        "server_timeout_s": {},
+        "dry_run": {},
+    }
+    return Tool(
+        name=name,
+        title=f"Send a goal: {noun}",
+        description=(
+            f"{targets.describe()} Sends the goal, reports feedback as progress and returns the result; cancelling the "
+            "call, its timeout or emergency_stop cancels the goal. A goal that does not succeed is an error."
+        ),
+        arguments=Derived(
+            model=SendGoal, properties=properties, required=_required(targets, "goal", interface.goal.fields)
+        ),
+        result=goal_model(targets),
+        handler=sending,
+        open_world=True,
+    )
+
+
+def _required(targets: Targets, name: str, fields: Collection[object]) -> list[str]:
+    return [*targets.arguments, *([name] if fields else [])]

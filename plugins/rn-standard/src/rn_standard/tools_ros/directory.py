@@ -1,0 +1,129 @@
+"""find_tools and call_endpoint: the way to derived tools when there are too many of them to be listed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from pydantic import Field
+
+from roboneuron import Arguments, CallContext, InvalidInputError, Reply, Result, Tool
+from roboneuron.feature import VIEWER, Schema, check_role, may_call
+
+
+class FindTools(Arguments):
+    """Arguments of find_tools."""
+
+    query: str = Field(default="", max_length=200, description="Words; all of them without any.")
+    schemas: bool = Field(default=False, description="Give the input schemas too.")
+    limit: int = Field(default=10, ge=1, le=50, description="Most tools to return.")
+
+
+class FoundTool(Result):
+    """A tool that call_endpoint calls."""
+
+    name: str
+    title: str
+    description: str
+    read_only: bool
+    arguments: list[str]
+    input_schema: Schema | None = None
+
+
+class FoundTools(Result):
+    """The best ones first."""
+
+    tools: list[FoundTool]
+    matching: int
+    total: int
+
+
+class CallEndpoint(Arguments):
+    """Arguments of call_endpoint."""
+
+    tool: str = Field(min_length=1, max_length=200, description="Name, as find_tools gives it.")
+    arguments: dict[str, Any] = Field(default_factory=dict, description="As in its input schema.")
+
+
+class EndpointResult(Result):
+    """What the tool answered."""
+
+    tool: str
+    result: dict[str, Any]
+
+
+def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[Any]]:
+    """The pair, over whatever `tools` returns, by name, at the time of the call."""
+
+    async def find(arguments: FindTools, context: CallContext) -> FoundTools:
+        mine = [tool for tool in tools().values() if may_call(context.role, tool)]
+        ranked = _rank(mine, _words(arguments.query))
+        found = [_found(tool, arguments.schemas) for tool in ranked[: arguments.limit]]
+        return FoundTools(tools=found, matching=len(ranked), total=len(mine))
+
+    async def call(arguments: CallEndpoint, context: CallContext) -> Reply:
+        name = arguments.tool
+        found = tools().get(name)
+        if found is None:
+            near = [tool.name for tool in _rank(list(tools().values()), _words(name))[:3]]
+            hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
+            raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
+        check_role(found, context)
+        answer = await found.call(arguments.arguments, context)
+        return Reply(result=EndpointResult(tool=name, result=dict(answer.structured)), pictures=answer.pictures)
+
+    return [
+        Tool(
+            name="find_tools",
+            title="Find tools of the robot's interfaces",
+            description=(
+                "Search the tools for topics, services and actions by words (robot, noun, verb, type); they are too "
+                "many to be listed. Call what you find with call_endpoint."
+            ),
+            arguments=FindTools,
+            result=FoundTools,
+            handler=find,
+            read_only=True,
+            idempotent=True,
+        ),
+        Tool(
+            name="call_endpoint",
+            title="Call a tool that find_tools found",
+            description="Call a tool of find_tools by name, with the arguments of its input schema.",
+            arguments=CallEndpoint,
+            result=EndpointResult,
+            handler=call,
+            open_world=True,
+            role=VIEWER,  # what it calls has a role of its own
+        ),
+    ]
+
+
+def _words(text: str) -> list[str]:
+    return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
+
+
+def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
+    """Tools by how many words they hold, in the name before the description; all of them without words."""
+    if not words:
+        return list(tools)
+    scored = []
+    for index, tool in enumerate(tools):
+        name, text = tool.name, f"{tool.title} {tool.description}".lower()
+        score = sum(3 * (word in name.split("_")) + 2 * (word in name) + (word in text) for word in words)
+        if score:
+            scored.append((-score, len(name), index, tool))
+    return [tool for *_, tool in sorted(scored, key=lambda entry: entry[:3])]
+
+
+def _found(tool: Tool[Any], with_schema: bool) -> FoundTool:
+    schema = tool.input_schema()
+    return FoundTool(
+        name=tool.name,
+        title=tool.title,
+        description=tool.description,
+        read_only=tool.read_only,
+        arguments=list(schema["properties"]),
+        input_schema=schema if with_schema else None,
+    )

@@ -1,0 +1,122 @@
+"""Endpoints found in the live ROS graph by the patterns that the configuration allows."""
+
+from __future__ import annotations
+
+import fnmatch
+import logging
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+from rn_standard.direct_path.exposed import Exposed, check_reserved, check_stop
+from rn_standard.direct_path.limits import check_endpoint
+from rn_standard.tools_ros.discovered_limits import limit
+from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.naming import to_label
+from rn_standard.tools_ros.options import DiscoverConfig
+from roboneuron import Endpoint, RoboNeuronError, RobotProfile
+from roboneuron.feature import Config, Periodic
+
+log = logging.getLogger(__name__)
+Kinds = Mapping[str, Mapping[str, str]]
+"""Type by absolute name, by kind."""
+_MEASURED = re.compile(r"(^|/)(joint_states|ee_pose|tf|tf_static|clock|camera/[^/]+/image)$")
+"""Read, but never written by a pattern: what the robot is believed to have measured."""
+_SILENT = re.compile(r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$")
+"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for itself."""
+_PARAMETER_SERVICE = re.compile(r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$")
+
+
+class LiveGraph:
+    """Looks at the graph in a thread of its own and tells what matches, whenever that changes."""
+
+    def __init__(
+        self,
+        discover: Sequence[DiscoverConfig],
+        config: Config,
+        graph: RosGraph,
+        known: Callable[[], tuple[Exposed, ...]],
+        profile: Callable[[str], RobotProfile | None],
+        on_discovered: Callable[[tuple[Exposed, ...]], None],
+    ) -> None:
+        """Args:
+        discover: what is looked for.
+        config: tells the configured robot.
+        graph: the live graph.
+        known: what is exposed by name.
+        profile: the facts of a robot, None when no plugin knows it.
+        on_discovered: told what matches now, on the thread that looks.
+        """
+        self._known = known
+        self._profile = profile
+        self._config = config
+        self._discover = tuple(discover)
+        self._graph = graph
+        self._on_discovered = on_discovered
+        self._thread: Periodic | None = None
+        self._seen: Kinds = {}
+        self._refused: set[tuple[str, str]] = set()
+
+    def start(self) -> None:
+        """Begin, if the configuration has a pattern; returns at once."""
+        if self._discover and self._thread is None:
+            period_s = min(entry.period_s for entry in self._discover)
+            self._thread = Periodic("direct-graph", period_s, self._look)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; idempotent."""
+        if self._thread is not None:
+            self._thread.close()
+
+    def _look(self) -> None:
+        try:
+            live = self._graph.used()
+        except RoboNeuronError as error:
+            log.error("The ROS graph cannot be looked at: %s", error)
+            return
+        if live != self._seen:
+            self._seen = live
+            self._on_discovered(self._match(live))
+
+    def _match(self, live: Kinds) -> tuple[Exposed, ...]:
+        found: dict[tuple[str, str], Exposed] = {}
+        for entry in self._discover:
+            count = 0
+            for kind in entry.kinds:
+                for name, type_name in sorted(live[kind].items()):
+                    if (kind, name) in found or count >= entry.most or not _fits(entry, kind, name):
+                        continue
+                    exposed = self._expose(entry, kind, name, type_name)
+                    if exposed is not None:
+                        found[kind, name] = exposed
+                        count += 1
+        return tuple(found.values())
+
+    def _expose(self, entry: DiscoverConfig, kind: str, name: str, type_name: str) -> Exposed | None:
+        robot = entry.robot or self._config.robot.name
+        namespace = self._config.namespace if robot == self._config.robot.name else robot.replace("-", "_")
+        label = to_label(name.removeprefix(f"/{namespace}/"))[:48].rstrip("_")
+        endpoint = Endpoint(name=label, kind=kind, topic=name, type=type_name, summary="", rate_hz=entry.rate_hz or 0.0)
+        try:
+            check_endpoint(endpoint)
+            bare = Exposed(
+                robot=robot, namespace=namespace, label=label, endpoint=endpoint, profile=self._profile(robot),
+            )  # fmt: skip
+            known = self._known()
+            check_reserved(
+                bare, {self._config.namespace: self._config.robot.name, **{e.namespace: e.robot for e in known}}
+            )
+            exposed = limit(bare, entry, known)
+            check_stop(exposed)
+        except RoboNeuronError as error:
+            if (kind, name) not in self._refused:
+                self._refused.add((kind, name))
+                log.warning("%s is not exposed (%s): %s", name, kind, error)
+            return None
+        return exposed
+
+
+def _fits(entry: DiscoverConfig, kind: str, name: str) -> bool:
+    if not fnmatch.fnmatchcase(name, entry.pattern) or _SILENT.search(name) or _PARAMETER_SERVICE.search(name):
+        return False
+    return kind != "publish" or not _MEASURED.search(name)

@@ -1,0 +1,82 @@
+"""Types of exposed endpoints: derived interfaces, and what their kind of type means for limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.fields import FLOATS, INTEGERS, walk_fields
+from rn_standard.direct_path.joints import JOINT_TYPES
+from rn_standard.direct_path.limits import sent_type
+from rn_standard.tools_ros.interfaces import (
+    ActionInterface,
+    Interface,
+    MessageInterface,
+    ServiceInterface,
+    load_interface,
+)
+from roboneuron import Endpoint, RobotProfile
+
+_VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+_TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration", "std_msgs/Header")
+
+
+def interface_of(exposed: Exposed) -> Interface:
+    """The derived type of an endpoint. Raises ConfigurationError."""
+    return load_interface(exposed.endpoint.type, nonfinite=exposed.nonfinite)
+
+
+def message_of(exposed: Exposed) -> MessageInterface:
+    """The derived type of a topic."""
+    interface = interface_of(exposed)
+    assert isinstance(interface, MessageInterface)
+    return interface
+
+
+def service_of(exposed: Exposed) -> ServiceInterface:
+    """The derived type of a service."""
+    interface = interface_of(exposed)
+    assert isinstance(interface, ServiceInterface)
+    return interface
+
+
+def action_of(exposed: Exposed) -> ActionInterface:
+    """The derived type of an action."""
+    interface = interface_of(exposed)
+    assert isinstance(interface, ActionInterface)
+    return interface
+
+
+def number_fields(endpoint: Endpoint) -> list[str]:
+    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move nothing."""
+    numbers: list[str] = []
+    times: list[str] = []
+    for path, element in walk_fields(sent_type(endpoint)):
+        if element in _TIMES:
+            times.append(f"{path}.")
+        elif element in FLOATS | INTEGERS and not path.startswith(tuple(times)):
+            numbers.append(path)
+    return numbers
+
+
+def sent_types(kind: str, type_name: str) -> set[str]:
+    """Types of the messages within what an endpoint of this kind and type is sent."""
+    sent = sent_type(Endpoint(name="", kind=kind, topic="", type=type_name, summary=""))
+    return {element.replace("/", "/msg/") for _, element in walk_fields(sent) if "/" in element}
+
+
+def is_velocity_type(kind: str, type_name: str) -> bool:
+    """Whether a robot goes on at what it was told until it is told something else, so that it has to end in zero."""
+    return kind == "publish" and type_name in _VELOCITIES
+
+
+def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
+    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with joint limits."""
+    if kind == "read" or profile is None or profile.limits is None:
+        return False
+    return type_name in JOINT_TYPES or any(name in JOINT_TYPES for name in sent_types(kind, type_name))
+
+
+def renamed(exposed: Exposed, name: str) -> Exposed:
+    """The same endpoint under another name in the allow list."""
+    return replace(exposed, endpoint=replace(exposed.endpoint, name=name))

@@ -1,0 +1,227 @@
+"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with limits tightened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from rn_standard.direct_path.exposed import (
+    Exposed,
+    Use,
+    by_topic,
+    check_reserved,
+    check_stop,
+    profile_endpoints,
+    same_for_each_topic,
+    tightened_by,
+)
+from rn_standard.direct_path.joints import JOINT_TYPES
+from rn_standard.direct_path.limits import check_endpoint
+from rn_standard.tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
+from rn_standard.tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
+from rn_standard.tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
+from rn_standard.tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
+from rn_standard.tools_ros.pattern_limits import pattern_limits
+from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
+from roboneuron import ConfigurationError, Endpoint, InvalidInputError, RobotProfile
+from roboneuron.feature import Config, Registry, load_profile
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exposure:
+    """Everything that the configuration exposes."""
+
+    endpoints: tuple[Exposed, ...] = ()
+    nodes: tuple[ParameterNode, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Robot:
+    name: str
+    namespace: str
+    profile: RobotProfile | None
+
+    def endpoints(self) -> list[Exposed]:
+        return profile_endpoints(self.name, self.namespace, self.profile)
+
+
+def exposure(
+    config: Config, options: RosToolsOptions, registry: Registry, added: Iterable[ExposeConfig] = ()
+) -> Exposure:
+    """Collect what the robot's profile and the configuration expose.
+
+    Args:
+        config: the configuration with the present robot.
+        options: what is exposed.
+        registry: where profiles are found.
+        added: entries of run time, which can only tighten what the others say about a topic.
+
+    Raises:
+        ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or comes twice.
+        PluginError, MissingDependencyError: a profile cannot be loaded.
+    """
+    robots: dict[str, _Robot] = {}
+    known: dict[Use, list[Exposed]] = {}
+    """All that was said about topics, also by profiles and under a name that was given to another topic since."""
+
+    def find(name: str, namespace: str | None) -> _Robot:
+        if name not in robots:
+            own = config.namespace if name == config.robot.name else name.replace("-", "_")
+            profile = load_profile(registry, name) if name in registry.specs("robot") else None
+            space = namespace or own
+            if any(robot.namespace == space for robot in robots.values()):
+                raise ConfigurationError(f"Robot {name!r} cannot have the namespace {space!r}: another robot has it.")
+            robots[name] = _Robot(name=name, namespace=space, profile=profile)
+            for exposed in robots[name].endpoints():
+                known.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
+        found = robots[name]
+        if namespace is not None and namespace != found.namespace:
+            raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
+        return found
+
+    drafts: dict[tuple[str, str, str], Exposed] = {}
+    nodes: list[ParameterNode] = []
+
+    def take(entry: ExposeConfig, patterns: Iterable[DiscoverConfig]) -> None:
+        robot = find(entry.robot or config.robot.name, entry.namespace)
+        if entry.kind == "parameters":
+            nodes.append(parameter_node(entry, robot.name, robot.namespace))
+        elif entry.name is None:
+            drafts.update((_key(e), e) for e in _whole_profile(entry, robot))
+        else:
+            made = _merge(entry, robot, drafts, known, patterns)
+            drafts[_key(made)] = made
+            known.setdefault((made.topic, made.endpoint.kind), []).append(made)
+
+    main = find(config.robot.name, config.namespace)
+    if options.direct.profile:
+        drafts.update((_key(e), e) for e in main.endpoints())
+    for entry in options.expose:
+        take(entry, ())
+    configured = by_topic(drafts.values())
+    for entry in added:
+        take(entry, options.discover)
+    namespaces = {robot.namespace: robot.name for robot in robots.values()}
+    shown = same_for_each_topic(drafts.values(), known)
+    for exposed in shown:
+        check_reserved(exposed, namespaces)
+    made = tuple(unique(_not_looser(shown, configured)))
+    return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
+
+
+def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
+    """Give the endpoints of a robot names of their own where a label is used for two kinds; check each."""
+    listed = list(drafts)
+    labels: dict[tuple[str, str], int] = {}
+    for draft in listed:
+        labels[draft.robot, draft.label] = labels.get((draft.robot, draft.label), 0) + 1
+    for draft in listed:
+        shared = labels[draft.robot, draft.label] > 1
+        name = f"{draft.label[:50]}_{draft.endpoint.kind}" if shared else draft.label
+        made = renamed(draft, name) if name != draft.endpoint.name else draft
+        check_endpoint(made.endpoint)
+        check_stop(made)
+        yield made
+
+
+def _key(exposed: Exposed) -> tuple[str, str, str]:
+    return exposed.robot, exposed.label, exposed.endpoint.kind
+
+
+def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
+    if robot.profile is None:
+        raise ConfigurationError(
+            f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin offers such a robot."
+        )
+    return [replace(e, moves=entry.moves, require_subscriber=entry.require_subscriber)
+            for e in robot.endpoints()]  # fmt: skip
+
+
+def _merge(
+    entry: ExposeConfig,
+    robot: _Robot,
+    drafts: dict[tuple[str, str, str], Exposed],
+    known: Mapping[Use, Iterable[Exposed]],
+    patterns: Iterable[DiscoverConfig],
+) -> Exposed:
+    """The endpoint of an entry: limits on one of the profile, or a new one, within what is known about the topic."""
+    assert entry.name is not None
+    mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
+    own = [*mine, *(e for e in robot.endpoints() if e.label == entry.name)]
+    base = next(
+        (e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None
+    )
+    limits = ConfiguredLimits(
+        bounds={path: (low, high) for path, (low, high) in entry.bounds.items()},
+        rate_hz=entry.rate_hz,
+        clamp=frozenset(entry.clamp),
+    )
+    if base is None:
+        missing = [key for key in ("kind", "topic", "type") if getattr(entry, key) is None]
+        if missing:
+            raise ConfigurationError(
+                f"[[expose]] {entry.name!r} of robot {robot.name!r} lacks {', '.join(missing)}.",
+                hint="Only an endpoint of the robot's profile can be named alone.",
+            )
+        assert entry.type is not None
+        full = load_interface(entry.type).name
+        if entry.type != full:
+            raise ConfigurationError(f"Endpoint {entry.name!r}: write the type in full, {full}.")
+        is_bare_velocity = "stop_message" not in entry.model_fields_set and is_velocity_type(
+            str(entry.kind), entry.type
+        )
+        stop = "zero" if is_bare_velocity else _stop_text(entry, entry.type)
+        bare = Endpoint(
+            name=entry.name, kind=str(entry.kind), topic=str(entry.topic), type=entry.type,
+            summary=entry.summary, stop_message=stop, repeat_hz=entry.repeat_hz or 0.0,
+            joint_limited=is_joint_limited(str(entry.kind), entry.type, robot.profile)
+            and (entry.moves or entry.type in JOINT_TYPES),
+        )  # fmt: skip
+    else:
+        bare = replace(
+            base.endpoint,
+            topic=entry.topic or base.endpoint.topic,
+            summary=entry.summary or base.endpoint.summary,
+            stop_message=_stop_text(entry, base.endpoint.type) or base.endpoint.stop_message,
+            repeat_hz=base.endpoint.repeat_hz if entry.repeat_hz is None else entry.repeat_hz,
+        )
+    check_endpoint(bare)
+    topic = bare.topic if bare.topic.startswith("/") else f"/{robot.namespace}/{bare.topic}"
+    for source in known.get((topic, bare.kind), ()):
+        bare = tightened_by(bare, source.endpoint)
+    bare = pattern_limits(bare, topic, patterns)
+    nonfinite = frozenset(entry.nonfinite)
+    interface = load_interface(bare.type, nonfinite=nonfinite)  # raises for a path that is no float
+    if (bare.kind in ("publish", "read")) is not isinstance(interface, MessageInterface):
+        raise ConfigurationError(f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}.")
+    return Exposed(
+        robot=robot.name,
+        namespace=robot.namespace,
+        label=entry.name,
+        endpoint=tighten(bare, limits),
+        profile=robot.profile,
+        clamp=limits.clamp,
+        nonfinite=nonfinite,
+        require_subscriber=entry.require_subscriber,
+        moves=entry.moves,
+    )
+
+
+def _stop_text(entry: ExposeConfig, type_name: str) -> str:
+    """The stop message as an `Endpoint` holds it: what agents may write in several ways is written out."""
+    given = entry.stop_message
+    if isinstance(given, str):
+        return given
+    part = load_message(type_name, nonfinite=frozenset(entry.nonfinite))
+    try:
+        return json.dumps(part.decode(part.encode(given, now_ns=None), LOSSLESS))
+    except InvalidInputError as error:
+        raise ConfigurationError(f"The stop message of {entry.name!r}: {error}") from error
+
+
+def _not_looser(drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]) -> Iterator[Exposed]:
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold more than it did."""
+    for draft in drafts:
+        same = before.get((draft.topic, draft.endpoint.kind), ())
+        yield same_for_each_topic([draft, *same], {})[0] if same else draft

@@ -1,0 +1,150 @@
+"""Goals of ROS actions through the gate; no goal outlives the call that sent it."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rn_standard.direct_path.arbiter import Ending, Motion, MotionEnd
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.request import GateRequest, Verdict
+from roboneuron import NotReadyError, RoboNeuronError, StateError
+
+_POLL_S = 0.01
+_STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
+"""Words for the ends of a goal. Source: action_msgs/msg/GoalStatus."""
+_ANSWER_S = 5.0
+_CANCEL_S = 2.0
+"""How long the server gets to confirm that a goal was cancelled."""
+
+
+class _Goal:
+    """A goal that was sent. `accepted` and `outcome` are None until the server answers."""
+
+    def __init__(self, cancel: Callable[[], None]) -> None:
+        self._cancel = cancel
+        self._changed = threading.Event()
+        self._cancel_wanted = False
+        self.accepted: bool | None = None
+        self.outcome: Any = None
+
+    @property
+    def status(self) -> str:
+        """How it ended: "succeeded", "canceled", "aborted" or "unknown"; empty before."""
+        return "" if self.outcome is None else _STATUS_WORDS.get(self.outcome.status, "unknown")
+
+    def wait(self, done: Callable[[], bool], timeout_s: float, check: Callable[[], None]) -> bool:
+        """Wait until `done`; `check` is called at least every 10 ms and may raise. False after `timeout_s`."""
+        deadline_s = time.monotonic() + timeout_s
+        while not done():
+            check()
+            remaining_s = deadline_s - time.monotonic()
+            if remaining_s <= 0:
+                return False
+            self._changed.wait(min(_POLL_S, remaining_s))
+            self._changed.clear()
+        return True
+
+    def cancel(self) -> None:
+        """Ask the server to end it, by its id: also when the answer to the goal was lost. Returns at once."""
+        self._cancel_wanted = True
+        self._cancel()
+
+    def on_answer(self, future: Any) -> None:
+        """The server accepted or rejected it; called on the thread of the ROS node."""
+        handle = future.result()
+        self.accepted = bool(handle is not None and handle.accepted)
+        if self.accepted:
+            handle.get_result_async().add_done_callback(self._on_result)
+            if self._cancel_wanted:
+                self._cancel()
+        self._changed.set()
+
+    def _on_result(self, future: Any) -> None:
+        self.outcome = future.result()
+        self._changed.set()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GoalEnd:
+    """What became of a goal.
+
+    Attributes:
+        verdict: the gate's answer.
+        status: "succeeded", "aborted" ...; empty when nothing was sent.
+        result: the result message; None when nothing was sent.
+        took_s: time from sending to the result.
+    """
+
+    verdict: Verdict
+    status: str = ""
+    result: Any = None
+    took_s: float = 0.0
+
+
+def send_goal(
+    gate: MotionGate, exposed: Exposed, request: GateRequest, *, timeout_s: float, server_s: float,
+    halt: threading.Event, on_feedback: Callable[[Any], None],
+) -> GoalEnd:  # fmt: skip
+    """Own the robot's motion, send the goal and wait for its result; blocks.
+
+    Args:
+        gate: what it is sent through.
+        exposed: which action.
+        request: holds the goal.
+        timeout_s: longest time for the goal; it is cancelled then.
+        server_s: longest wait for the action server.
+        halt: set when the call is cancelled.
+        on_feedback: called with each feedback message, on the executor's thread.
+
+    Raises:
+        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended it.
+        NotReadyError: nobody serves the action, or it did not end in time.
+        StateError: rejected, cancelled, or a policy took over.
+    """
+    if exposed.endpoint.joint_limited and request.joints is None:
+        request = replace(request, joints=gate.joints(exposed, server_s))
+    if request.dry_run:
+        return GoalEnd(verdict=gate.ask(exposed, request))
+    with gate.claim(exposed, request.tool, halt) as motion:
+        return _follow(gate, exposed, request, motion, timeout_s, server_s, on_feedback)
+
+
+def _follow(
+    gate: MotionGate, exposed: Exposed, request: GateRequest, motion: Motion, timeout_s: float, server_s: float,
+    on_feedback: Callable[[Any], None],
+) -> GoalEnd:  # fmt: skip
+    from unique_identifier_msgs.msg import UUID  # heavy
+
+    goal_id = UUID(uuid=list(uuid.uuid4().bytes))
+    started_s = time.monotonic()
+    goal = _Goal(lambda: gate.cancel_goal(exposed, goal_id))
+    verdict, answer = gate.send_goal(exposed, request, motion, goal_id, server_s, on_feedback)
+    if answer is None:
+        return GoalEnd(verdict=verdict)
+    answer.add_done_callback(goal.on_answer)
+    try:
+        if not goal.wait(lambda: goal.accepted is not None, _ANSWER_S, motion.check):
+            raise NotReadyError(f"{exposed.topic} did not answer the goal within {_ANSWER_S:g} s.")
+        if not goal.accepted:
+            raise StateError(f"{exposed.topic} rejected the goal.", hint="Look at the values of the goal.")
+        if not goal.wait(lambda: goal.outcome is not None, timeout_s, motion.check):
+            raise NotReadyError(f"The goal of {exposed.topic} did not end within {timeout_s:g} s.")
+    except RoboNeuronError as error:
+        if goal.accepted is False:
+            raise
+        goal.cancel()
+        ended = goal.wait(lambda: goal.outcome is not None, _CANCEL_S, lambda: None)
+        MotionEnd(
+            after_s=time.monotonic() - started_s,
+            ending=Ending.GOAL_ENDED if ended else Ending.GOAL_UNCONFIRMED,
+            details=goal.status if ended else "",
+            cause=error,
+        ).check()
+    took_s = time.monotonic() - started_s
+    return GoalEnd(verdict=verdict, status=goal.status, result=goal.outcome.result, took_s=took_s)

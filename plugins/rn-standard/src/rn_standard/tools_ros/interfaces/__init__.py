@@ -1,0 +1,50 @@
+"""ROS interfaces as typed data: from the installed message classes to schema, model, encoder and decoder.
+
+Importing this package imports no ROS; loading an interface imports that interface's package only.
+"""
+
+from __future__ import annotations
+
+from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
+from rn_standard.tools_ros.interfaces.description import Array, Choice, Field, FieldType, Message, Nested, Plain, Scalar
+from rn_standard.tools_ros.interfaces.interface import (
+    ActionInterface,
+    Interface,
+    InterfaceLoader,
+    MessageInterface,
+    ServiceInterface,
+    load_action,
+    load_interface,
+    load_message,
+    load_service,
+)
+from rn_standard.tools_ros.interfaces.naming import InterfaceName, interface_prefixes, list_interfaces
+from rn_standard.tools_ros.interfaces.picture import Picture, to_picture
+
+__all__ = [
+    "LOSSLESS",
+    "ActionInterface",
+    "Array",
+    "Choice",
+    "DecodeLimits",
+    "Field",
+    "FieldType",
+    "InputLimits",
+    "Interface",
+    "InterfaceLoader",
+    "InterfaceName",
+    "Message",
+    "MessageInterface",
+    "Nested",
+    "Picture",
+    "Plain",
+    "Scalar",
+    "ServiceInterface",
+    "interface_prefixes",
+    "list_interfaces",
+    "load_action",
+    "load_interface",
+    "load_message",
+    "load_service",
+    "to_picture",
+]

@@ -1,0 +1,273 @@
+"""Messages, services and actions by name: description, schema, model, encoder and decoder in one object."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from pydantic import BaseModel
+
+from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
+from rn_standard.tools_ros.interfaces.decode import MessageDecoder
+from rn_standard.tools_ros.interfaces.derive import Deriver
+from rn_standard.tools_ros.interfaces.description import Array, Field, Message, Nested, Plain
+from rn_standard.tools_ros.interfaces.encode import MessageEncoder, encoder_for
+from rn_standard.tools_ros.interfaces.model import make_model
+from rn_standard.tools_ros.interfaces.naming import (
+    InterfaceName,
+    interface_prefixes,
+    is_interface_package,
+    list_interfaces,
+    parse_interface_name,
+    unknown_interface,
+)
+from rn_standard.tools_ros.interfaces.picture import PICTURE_TYPES, Picture, to_picture
+from rn_standard.tools_ros.interfaces.refusal import Mismatch
+from rn_standard.tools_ros.interfaces.scalars import Budget
+from rn_standard.tools_ros.interfaces.schema import INLINE_BYTES, make_schema
+from roboneuron import ConfigurationError, InvalidInputError
+
+_MAX_PICTURES = 4
+_DEFAULT_DECODE = DecodeLimits()
+_DEFAULT_INPUT = InputLimits()
+
+
+class MessageInterface:
+    """A message, or a service's request or response, or an action's goal, result or feedback.
+
+    Immutable after construction and safe from any thread.
+
+    Attributes:
+        message: the description tree.
+    """
+
+    kind: ClassVar[str] = "msg"
+
+    def __init__(self, message: Message, *, name: InterfaceName | None = None) -> None:
+        self.message = message
+        self._name = name
+        self._encoder: MessageEncoder = encoder_for(message, {})
+        self._decoder = MessageDecoder(message)
+
+    @property
+    def name(self) -> str:
+        """The full type name."""
+        return self.message.type_name
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The message's own fields."""
+        return self.message.fields
+
+    @property
+    def ros_type(self) -> Any:
+        """The rosidl class, as rclpy wants it."""
+        return self.message.ros_type
+
+    def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, Any]:
+        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what it cannot say."""
+        return make_schema(self.message, inline_bytes=inline_bytes)
+
+    @functools.cached_property
+    def model(self) -> type[BaseModel]:
+        """A pydantic model with the same rules; made when first asked for."""
+        return make_model(self.message, _canonical)
+
+    def encode(
+        self, value: Mapping[str, Any] | BaseModel, *, now_ns: int | None, limits: InputLimits = _DEFAULT_INPUT
+    ) -> Any:
+        """Return a new rosidl message that holds exactly `value`.
+
+        Args:
+            value: plain values as in `json_schema`, or an instance of `model`.
+            now_ns: ROS time for omitted header stamps [ns]; None leaves them zero.
+            limits: how much a value may hold.
+
+        Raises:
+            InvalidInputError: something does not fit; says where, what came, what is allowed.
+        """
+        plain = value.model_dump(by_alias=True, exclude_unset=True) if isinstance(value, BaseModel) else value
+        return _encode(self._encoder, self.message, plain, now_ns, limits)
+
+    def decode(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
+        """Return a received message as JSON-able values within `limits`; never refuses what was received.
+
+        Raises:
+            InvalidInputError: `message` is of another type.
+        """
+        if not isinstance(message, self.message.ros_type):
+            raise InvalidInputError(f"A {type(message).__name__} came where {self.name} is decoded.")
+        return self._decoder.decode(message, limits)
+
+    def pictures(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> tuple[Picture, ...]:
+        """Return the images inside a message, at most four, ready to be shown.
+
+        Raises:
+            InvalidInputError: an image has an unknown encoding or is damaged.
+        """
+        found = list(_find_pictures(self.message, message, ""))[:_MAX_PICTURES]
+        return tuple(to_picture(m, longest_side_px=limits.image_side_px, path=path) for path, m in found)
+
+
+class ServiceInterface:
+    """A service: a request and a response."""
+
+    kind: ClassVar[str] = "srv"
+
+    def __init__(
+        self, name: InterfaceName, ros_type: Any, request: MessageInterface, response: MessageInterface
+    ) -> None:
+        self.name = str(name)
+        self.ros_type = ros_type
+        self.request = request
+        self.response = response
+
+
+class ActionInterface:
+    """An action: a goal, its feedback, its result."""
+
+    kind: ClassVar[str] = "action"
+
+    def __init__(
+        self,
+        name: InterfaceName,
+        ros_type: Any,
+        goal: MessageInterface,
+        result: MessageInterface,
+        feedback: MessageInterface,
+    ) -> None:
+        self.name = str(name)
+        self.ros_type = ros_type
+        self.goal = goal
+        self.result = result
+        self.feedback = feedback
+
+
+Interface = MessageInterface | ServiceInterface | ActionInterface
+
+
+class InterfaceLoader:
+    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from any thread."""
+
+    def __init__(self) -> None:
+        self._deriver = Deriver(interface_prefixes())
+        self._loaded: dict[tuple[str, frozenset[str]], Interface] = {}
+
+    def load(self, type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> Interface:
+        """See `load_interface`."""
+        key = (type_name, nonfinite)
+        if key not in self._loaded:
+            self._loaded[key] = self._load(type_name, nonfinite)
+        return self._loaded[key]
+
+    def _load(self, type_name: str, nonfinite: frozenset[str]) -> Interface:
+        for name in parse_interface_name(type_name):
+            ros_type = _import(name)
+            if ros_type is not None:
+                return self._make(name, ros_type, nonfinite)
+        raise unknown_interface(type_name, list_interfaces())
+
+    def _make(self, name: InterfaceName, ros_type: Any, nonfinite: frozenset[str]) -> Interface:
+        def derive(part: type) -> MessageInterface:
+            message = self._deriver.derive(part, nonfinite=nonfinite)
+            _check_paths(message, nonfinite)
+            return MessageInterface(message, name=name)
+
+        if name.kind == "srv":
+            return ServiceInterface(name, ros_type, derive(ros_type.Request), derive(ros_type.Response))
+        if name.kind == "action":
+            return ActionInterface(name, ros_type, *map(derive, (ros_type.Goal, ros_type.Result, ros_type.Feedback)))
+        return derive(ros_type)
+
+
+@functools.cache
+def _loader() -> InterfaceLoader:
+    return InterfaceLoader()
+
+
+def load_interface(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> Interface:
+    """Return the interface of that name, derived from the installed Python classes and kept for the next call.
+
+    Args:
+        type_name: "package/msg/Name", "package/srv/Name", "package/action/Name", or "package/Name".
+        nonfinite: dotted field paths (without indices) that may hold NaN and infinities; "*" for all of them.
+
+    Raises:
+        ConfigurationError: no such interface is installed; the hint names the nearest. Or a path in `nonfinite` is
+            not a float field.
+    """
+    return _loader().load(type_name, nonfinite=nonfinite)
+
+
+def load_message(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> MessageInterface:
+    """Like `load_interface`, for messages only. Raises ConfigurationError for a service or an action."""
+    interface = load_interface(type_name, nonfinite=nonfinite)
+    if isinstance(interface, MessageInterface):
+        return interface
+    raise ConfigurationError(f"{interface.name} is not a message.", hint="Topics carry package/msg/Name.")
+
+
+def load_service(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> ServiceInterface:
+    """Like `load_interface`, for services only. Raises ConfigurationError for anything else."""
+    interface = load_interface(type_name, nonfinite=nonfinite)
+    if isinstance(interface, ServiceInterface):
+        return interface
+    raise ConfigurationError(f"{interface.name} is not a service.", hint="Services are package/srv/Name.")
+
+
+def load_action(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> ActionInterface:
+    """Like `load_interface`, for actions only. Raises ConfigurationError for anything else."""
+    interface = load_interface(type_name, nonfinite=nonfinite)
+    if isinstance(interface, ActionInterface):
+        return interface
+    raise ConfigurationError(f"{interface.name} is not an action.", hint="Actions are package/action/Name.")
+
+
+def _import(name: InterfaceName) -> Any:
+    if not is_interface_package(name.package, name.kind):
+        return None
+    return getattr(importlib.import_module(f"{name.package}.{name.kind}"), name.name, None)
+
+
+def _check_paths(message: Message, nonfinite: frozenset[str]) -> None:
+    known = {path for path, field in message.walk() if _is_float(field)}
+    for path in sorted(nonfinite - {"*"} - known):
+        raise ConfigurationError(
+            f"{message.type_name} has no float field {path!r}.", hint=f"Float fields: {', '.join(sorted(known)[:20])}."
+        )
+
+
+def _is_float(field: Field) -> bool:
+    element = field.type.element if isinstance(field.type, Array) else field.type
+    return not isinstance(element, Nested) and element.is_float
+
+
+def _encode(encoder: MessageEncoder, message: Message, value: Any, now_ns: int | None, limits: InputLimits) -> Any:
+    try:
+        return encoder.make(value, Budget(limits, limits.items, now_ns))
+    except Mismatch as mismatch:
+        raise mismatch.to_error(message.type_name) from None
+
+
+def _canonical(message: Message, value: Mapping[str, Any]) -> dict[str, Plain]:
+    """What a model holds: everything given, checked, as plain values without summaries."""
+    made = _encode(encoder_for(message, {}), message, value, None, _DEFAULT_INPUT)
+    return MessageDecoder(message).decode(made, LOSSLESS)
+
+
+def _find_pictures(description: Message, message: Any, path: str) -> list[tuple[str, Any]]:
+    if description.type_name in PICTURE_TYPES:
+        return [(path, message)]
+    found = []
+    for field in description.fields:
+        here = f"{path}.{field.name}" if path else field.name
+        value = getattr(message, field.name)
+        if isinstance(field.type, Nested):
+            found += _find_pictures(field.type.message, value, here)
+        elif isinstance(field.type, Array) and isinstance(field.type.element, Nested):
+            element = field.type.element.message
+            for index in range(min(len(value), _MAX_PICTURES)):
+                found += _find_pictures(element, value[index], f"{here}[{index}]")
+    return found

@@ -1,0 +1,125 @@
+"""Camera messages as PNG or JPEG bytes that an MCP client can show.
+
+Depth and 16 bit images are scaled to grey between their smallest and largest finite value, which the note states.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import InvalidInputError, frame_from_buffer
+from roboneuron.feature import READABLE_ENCODINGS
+
+_GREY_DTYPES = {"16UC1": "u2", "mono16": "u2", "16SC1": "i2", "32FC1": "f4", "32SC1": "i4", "64FC1": "f8"}
+_ALIASES = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
+_JPEG_QUALITY = 85
+_MAX_PIXELS = 64_000_000
+PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+"""Messages that can be shown as a picture."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Picture:
+    """An image for an agent.
+
+    Attributes:
+        path: field path inside the message, empty when the message itself is the image.
+        data: the encoded file.
+        mime_type: "image/jpeg" (colour) or "image/png" (grey, depth).
+        width, height: size as encoded [px].
+        note: what was changed on the way: scaled down, stretched to grey.
+    """
+
+    path: str
+    data: bytes
+    mime_type: str
+    width: int
+    height: int
+    note: str = ""
+
+
+def to_picture(message: Any, *, longest_side_px: int, path: str = "") -> Picture:
+    """Return an Image or CompressedImage message as a picture of at most `longest_side_px`.
+
+    Raises:
+        InvalidInputError: the encoding is not known or the buffer does not hold the image.
+    """
+    from PIL import Image  # heavy: only where pictures are made
+
+    note = ""
+    if hasattr(message, "format"):
+        image = _open_compressed(message)
+    else:
+        encoding = _ALIASES.get(message.encoding, message.encoding)
+        if encoding.startswith("bayer_") and encoding.endswith("8"):
+            encoding, note = "mono8", f"raw {message.encoding} mosaic shown as grey"
+        if encoding in _GREY_DTYPES:
+            grey, note = _to_grey(message, encoding)
+            image = Image.fromarray(grey)
+        elif encoding in READABLE_ENCODINGS:
+            pixels = frame_from_buffer(
+                message.data, width=message.width, height=message.height, step=message.step, encoding=encoding
+            )
+            image = Image.fromarray(pixels[:, :, 0] if encoding == "mono8" else pixels)
+        else:
+            raise InvalidInputError(
+                f"Images with the encoding {message.encoding[:40]!r} cannot be shown, "
+                f"expected one of {', '.join((*READABLE_ENCODINGS, *_GREY_DTYPES, *_ALIASES))}."
+            )
+    if max(image.size) > longest_side_px:
+        note = f"{note + '; ' if note else ''}scaled down from {image.width}x{image.height}"
+        image.thumbnail((longest_side_px, longest_side_px))
+    buffer = io.BytesIO()
+    grey_mode = image.mode == "L"
+    if grey_mode:
+        image.save(buffer, "PNG")
+    else:
+        image.convert("RGB").save(buffer, "JPEG", quality=_JPEG_QUALITY)
+    return Picture(
+        path=path,
+        data=buffer.getvalue(),
+        mime_type="image/png" if grey_mode else "image/jpeg",
+        width=image.width,
+        height=image.height,
+        note=note,
+    )
+
+
+def _open_compressed(message: Any) -> Any:
+    from PIL import Image, UnidentifiedImageError  # heavy
+
+    try:
+        image = Image.open(io.BytesIO(bytes(message.data)), formats=("JPEG", "PNG"))
+        if image.width * image.height > _MAX_PIXELS:
+            raise InvalidInputError(f"A compressed image of {image.width}x{image.height} is too large to be shown.")
+        image.load()
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise InvalidInputError(
+            f"A compressed image of {len(message.data)} bytes with the format {message.format[:60]!r} cannot be read: "
+            f"{type(error).__name__}."
+        ) from error
+    return image if image.mode in ("L", "RGB") else image.convert("L" if image.mode.startswith("I") else "RGB")
+
+
+def _to_grey(message: Any, encoding: str) -> tuple[NDArray[np.uint8], str]:
+    dtype = np.dtype((">" if message.is_bigendian else "<") + _GREY_DTYPES[encoding])
+    raw = np.frombuffer(message.data, dtype=np.uint8)
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    if not (height and width) or step < width * dtype.itemsize or raw.size != step * height:
+        raise InvalidInputError(
+            f"Image buffer holds {raw.size} bytes with step {step}, expected {height} rows of at least "
+            f"{width * dtype.itemsize} bytes for {width}x{height} {encoding}."
+        )
+    rows = np.ascontiguousarray(raw.reshape(height, step)[:, : width * dtype.itemsize])
+    values = rows.view(dtype).astype(np.float64)
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.zeros((height, width), dtype=np.uint8), f"{encoding} without a finite value"
+    low, high = float(values[finite].min()), float(values[finite].max())
+    scaled = (np.where(finite, values, low) - low) * (255.0 / (high - low) if high > low else 0.0)
+    return scaled.astype(np.uint8), f"{encoding} shown as grey, black {low:g} to white {high:g}"

@@ -1,0 +1,117 @@
+"""publish_<name>: one message to whoever listens, or a value that lasts and ends in the stop message."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.direct_path.delivery import Sent
+from rn_standard.direct_path.exposed import Exposed, gate_request
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.calls import duration_s as trajectory_s
+from rn_standard.tools_ros.exposed_types import message_of
+from rn_standard.tools_ros.steps import Step, publish_steps
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import CallContext, InvalidInputError, Result
+from roboneuron.feature import Stage
+
+
+class ClampedValue(Result):
+    """A value that was moved to its limit."""
+
+    path: str
+    asked: float
+    sent: float
+
+
+class Delivery(Judged):
+    """What was sent, to how many; or, in a dry run, what would happen."""
+
+    robot: str
+    topic: str
+    type: str
+    sent: int = Field(description="messages, repetitions and the stop message included")
+    subscribers: int = Field(description="how many were matched when it was sent")
+    duration_s: float = Field(description="how long it took")
+    stopped: bool = Field(description="a message that stops was sent at the end")
+    clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
+
+
+class Publish(PublishingCall):
+    """Arguments of a publish tool."""
+
+    message: Value = Field(default_factory=dict)
+    duration_s: float = Field(
+        default=1.0, gt=0, description="How long it lasts, in seconds; then it is stopped. Joints get there within it."
+    )
+
+
+class Publishing:
+    """The handler of one publish tool."""
+
+    def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
+        self._gate = gate
+        self._targets = targets
+        self._tool = tool
+
+    async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:
+        """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
+        exposed = self._targets.of(arguments.robot)
+        step = encode_step(exposed, arguments.message, arguments.duration_s if self._targets.lasting else 0.0)
+        if self._targets.trajectory:
+            step.duration_s = trajectory_s(step.message)
+            if step.duration_s > self._gate.max_duration_s:
+                raise InvalidInputError(
+                    f"The trajectory would last {step.duration_s:g} s, allowed is {self._gate.max_duration_s:g} s.",
+                    path="message.points",
+                )
+        request = gate_request(
+            context, self._tool, exposed, [step.message], arguments.given(),
+            joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
+            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=arguments.dry_run,
+        )  # fmt: skip
+        if not step.duration_s:
+            sent = self._gate.publish_now(exposed, request, stamped=step.stamped)
+            if sent is not None:
+                return to_delivery(exposed, sent)
+        halt = threading.Event()
+
+        def work(stage: Stage) -> Sent:
+            return publish_steps(
+                self._gate, exposed, request, [step], timeout_s=arguments.timeout_s, stage=stage, halt=halt
+            )
+
+        return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
+
+
+def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -> Step:
+    """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
+    message = encode_argument(message_of(exposed), value, "message")
+    return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
+
+
+def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
+    """Whether the message has a header whose stamp the agent left to us."""
+    if not any(field.name == "header" for field in message_of(exposed).fields):
+        return False
+    header = value.get("header")
+    return not (isinstance(header, Mapping) and header.get("stamp") is not None)
+
+
+def to_delivery(exposed: Exposed, sent: Sent) -> Delivery:
+    """What was sent."""
+    return Delivery(
+        robot=exposed.robot,
+        topic=exposed.topic,
+        type=exposed.endpoint.type,
+        sent=sent.messages,
+        subscribers=sent.subscribers,
+        duration_s=round(sent.duration_s, 6),
+        stopped=sent.stopped,
+        clamped=[ClampedValue(path=c.path, asked=c.asked, sent=c.sent) for c in sent.verdict.clamped],
+        **verdict_fields(sent.verdict),
+    )

@@ -1,0 +1,125 @@
+"""read_<name>: the next messages of a topic, decoded for agents; images come as images."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import Exposed, gate_request
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.tools_ros.calls import RobotCall, Value
+from rn_standard.tools_ros.exposed_types import message_of
+from rn_standard.tools_ros.reading import read_messages
+from rn_standard.tools_ros.schemas import decoded_schema
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import CallContext, Host, InvalidInputError, NotReadyError, Picture, Reply, Result
+
+_PICTURES = 4
+_MOST_TEXT = 30_000
+
+
+class Read(RobotCall):
+    """Arguments of a read tool."""
+
+    count: int = Field(default=1, ge=1, le=100, description="How many messages to wait for.")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+
+
+class Messages(Result):
+    """What came."""
+
+    robot: str
+    topic: str
+    type: str
+    messages: list[Value] = Field(description="oldest first")
+    complete: bool = Field(description="as many came as were asked for")
+    publishers: int = Field(description="how many publish the topic")
+    age_s: float = Field(description="since the last one arrived")
+    note: str
+
+
+def messages_model(targets: Targets) -> Derived[Messages]:
+    """The result, with the schema of the decoded messages."""
+    own: dict[str, dict[str, Any]] = {name: {} for name in Messages.model_fields}
+    return Derived(
+        model=Messages, properties=own | {"messages": {"items": decoded_schema(message_of(targets.first))}},
+        required=list(own),
+    )  # fmt: skip
+
+
+class Reading:
+    """The handler of one read tool."""
+
+    def __init__(self, host: Host, targets: Targets, tool: str) -> None:
+        self._host = host
+        self._targets = targets
+        self._tool = tool
+
+    async def __call__(self, arguments: Read, context: CallContext) -> Reply:
+        """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
+        exposed = self._targets.of(arguments.robot)
+        gate_of(self._host).check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        halt = threading.Event()
+        return await context.run(
+            lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt), on_cancel=halt.set
+        )
+
+    def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
+        part = message_of(exposed)
+        got = read_messages(self._host, exposed, count=count, timeout_s=timeout_s, halt=halt)
+        if not got.messages:
+            who = "Nobody publishes" if not got.publishers else f"{got.publishers} publish, but nothing came on"
+            raise NotReadyError(
+                f"{who} {exposed.topic} ({exposed.endpoint.type}) within {timeout_s:g} s.",
+                hint="Start what publishes it, or look at list_topics.",
+            )
+        age_s = time.monotonic() - got.messages[-1][0]
+        messages = [message for _, message in got.messages]
+        pictures, note = _pictures(exposed, messages[-_PICTURES:])
+        shown = newest([part.decode(message) for message in messages])
+        if len(shown) < len(messages):
+            cut = f"{len(messages) - len(shown)} older messages are left out: the answer would be too long"
+            note = f"{note}; {cut}" if note else cut
+        told = Messages(
+            robot=exposed.robot,
+            topic=exposed.topic,
+            type=exposed.endpoint.type,
+            messages=shown,
+            complete=len(messages) == count,
+            publishers=got.publishers,
+            age_s=round(age_s, 4),
+            note=note,
+        )
+        return Reply(result=told, pictures=pictures)
+
+
+def newest(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The last messages, at least one, of at most so many characters together as an agent can read."""
+    kept: list[dict[str, Any]] = []
+    room = _MOST_TEXT
+    for message in reversed(messages):
+        room -= len(json.dumps(message))
+        if kept and room < 0:
+            break
+        kept.append(message)
+    return kept[::-1]
+
+
+def _pictures(exposed: Exposed, messages: list[Any]) -> tuple[tuple[Picture, ...], str]:
+    """Pictures of the newest messages; what cannot be shown is said in the note."""
+    found: list[Picture] = []
+    notes: list[str] = []
+    for message in messages:
+        try:
+            made = message_of(exposed).pictures(message)
+        except InvalidInputError as error:
+            notes.append(str(error))
+            continue
+        found += [Picture(data=picture.data, mime_type=picture.mime_type) for picture in made]
+        notes += [picture.note for picture in made if picture.note]
+    return tuple(found[-_PICTURES:]), "; ".join(dict.fromkeys(notes))

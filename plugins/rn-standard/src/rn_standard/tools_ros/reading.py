@@ -1,0 +1,75 @@
+"""The next messages of a topic, with the quality of service of whoever publishes it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rn_standard.direct_path.exposed import Exposed
+from roboneuron import ConfigurationError, Host, StateError
+
+_POLL_S = 0.02
+
+
+@dataclass(kw_only=True, slots=True)
+class Heard:
+    """What came.
+
+    Attributes:
+        publishers: how many publish the topic.
+        messages: in the order of arrival, each with the monotonic time at which it came.
+    """
+
+    publishers: int = 0
+    messages: list[tuple[float, Any]] = field(default_factory=list)
+
+
+def read_messages(host: Host, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event) -> Heard:
+    """Subscribe, take the latched message or the next `count` that come in time, and unsubscribe; blocks.
+
+    As long as nothing has come, the subscription follows who publishes: one that left a moment ago, and is still on the
+    graph, does not decide for its successor.
+
+    Raises:
+        ConfigurationError: the topic carries another type.
+        StateError: `halt` was set.
+    """
+    deadline_s = time.monotonic() + timeout_s
+    heard = Heard()
+    complete = threading.Event()
+    unsubscribe: Callable[[], None] | None = None
+    subscribed: set[tuple[object, object]] = set()
+
+    def take(message: Any) -> None:
+        if len(heard.messages) < count:
+            heard.messages.append((time.monotonic(), message))
+        if len(heard.messages) >= count:
+            complete.set()
+
+    try:
+        while True:
+            infos = [] if heard.messages else host.graph.get_publishers_info_by_topic(exposed.topic)
+            foreign = [info.topic_type for info in infos if info.topic_type != exposed.endpoint.type]
+            if foreign:
+                raise ConfigurationError(
+                    f"Topic {exposed.topic} carries {foreign[0]}, it is exposed as {exposed.endpoint.type}."
+                )
+            if infos:
+                heard.publishers = len(infos)
+                offered = {(info.qos_profile.reliability, info.qos_profile.durability) for info in infos}
+                if offered != subscribed:
+                    if unsubscribe is not None:
+                        unsubscribe()
+                    unsubscribe = host.subscribe(exposed.ros_type, exposed.topic, take, depth=count, latched=True)
+                    subscribed = offered
+            remaining_s = deadline_s - time.monotonic()
+            if complete.wait(max(0.0, min(_POLL_S, remaining_s))) or remaining_s <= 0:
+                return heard
+            if halt.is_set():
+                raise StateError("The call was cancelled.")
+    finally:
+        if unsubscribe is not None:
+            unsubscribe()

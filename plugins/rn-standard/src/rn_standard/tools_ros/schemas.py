@@ -1,0 +1,100 @@
+"""Schemas of derived tools: messages with the endpoint's limits, and what decoded messages look like."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+from rn_standard.tools_ros.interfaces import Array, FieldType, Message, MessageInterface, Nested, Scalar
+from rn_standard.tools_ros.interfaces.summary import SUMMARIES
+from roboneuron import Endpoint
+
+Schema = dict[str, Any]
+_OF_TYPES = frozenset({*(-(2**bits) for bits in (7, 15, 31, 63)), *(2**b - 1 for b in (7, 8, 15, 16, 31, 32, 63, 64))})
+"""Least and greatest values of the integers of ROS."""
+_DEPTH = 4
+"""Deeper messages are described as objects: the schema would be longer than what it describes."""
+
+
+def message_schema(part: MessageInterface, bounds: Mapping[str, tuple[float, float]]) -> Schema:
+    """What the encoder accepts, with limits of the endpoint put into the fields they are about."""
+    schema = part.json_schema()
+    for path, (low, high) in bounds.items():
+        _bound(schema, path.split("."), low, high)
+    return dict(_short(schema))
+
+
+def _short(node: Any) -> Any:
+    """A schema that says as much in fewer words: times in seconds only, and no bounds that a type has by itself."""
+    if isinstance(node, list):
+        return [_short(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    times = node.get("anyOf", ())
+    if any(set(option.get("properties", ())) == {"sec", "nanosec"} for option in times):
+        return {"type": "number", "description": f"{node.get('description', 'Time').rstrip('.')} [s]."}
+    return {
+        key: _short(value) for key, value in node.items() if not (key in ("minimum", "maximum") and value in _OF_TYPES)
+    }
+
+
+def _bound(schema: Schema, path: list[str], low: float, high: float) -> None:
+    node: Any = schema
+    for name in path:
+        node = node.get("items", node) if isinstance(node, dict) else {}
+        node = node.get("properties", {}).get(name)
+        if not isinstance(node, dict):
+            return
+    node = node.get("items", node)
+    if node.get("type") in ("number", "integer"):
+        node |= {"minimum": low, "maximum": high}
+
+
+def hull(endpoints: list[Endpoint]) -> dict[str, tuple[float, float]]:
+    """Bounds that hold for all of several robots' endpoints: fields bounded by all, widest."""
+    shared = set.intersection(*(set(e.bounds) for e in endpoints))
+    return {
+        path: (min(e.bounds[path][0] for e in endpoints), max(e.bounds[path][1] for e in endpoints))
+        for path in sorted(shared)
+    }
+
+
+def decoded_schema(part: MessageInterface) -> Schema:
+    """What `MessageInterface.decode` gives, limits of decoding included."""
+    return _object(part.message, _DEPTH)
+
+
+def _object(message: Message, depth: int) -> Schema:
+    if depth == 0:
+        return {"type": "object"}
+    properties = {}
+    for field in message.fields:
+        if (message.type_name, field.name) in SUMMARIES:
+            properties[field.name] = {"type": "object", "description": "summary"}
+        else:
+            properties[field.name] = _type(field.type, depth, bool(field.choices))
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+def _type(field_type: FieldType, depth: int, named: bool) -> Schema:
+    if isinstance(field_type, Array):
+        return {"type": ["array", "object"], "items": _type(field_type.element, depth, named)}
+    if isinstance(field_type, Nested):
+        return _object(field_type.message, depth - 1)
+    return _scalar(field_type, named)
+
+
+def _scalar(scalar: Scalar, named: bool) -> Schema:
+    if scalar.ros == "boolean":
+        return {"type": "boolean"}
+    if scalar.is_integer:
+        return {"type": ["integer", "string"] if named else "integer"}
+    if scalar.is_float:
+        return {"type": ["number", "string"]}
+    return {"type": ["string", "object"]}
+
+
+def copied(schema: Schema) -> Schema:
+    """A schema that may be changed."""
+    return copy.deepcopy(schema)

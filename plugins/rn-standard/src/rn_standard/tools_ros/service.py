@@ -1,0 +1,79 @@
+"""call_<name>: a ROS service as a tool."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import gate_request
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.exposed_types import service_of
+from rn_standard.tools_ros.schemas import decoded_schema
+from rn_standard.tools_ros.service_calls import Response, call
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import CallContext
+from roboneuron.feature import Stage
+
+
+class CallService(SendingCall):
+    """Arguments of a service tool."""
+
+    request: Value = Field(default_factory=dict)
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds.")
+
+
+class Served(Judged):
+    """What the service answered; nothing in a dry run."""
+
+    robot: str
+    service: str
+    type: str
+    response: Value = Field(default_factory=dict)
+    took_s: float
+
+
+def served_model(targets: Targets) -> Derived[Served]:
+    """The result, with the schema of the response; a dry run has none."""
+    interface = service_of(targets.first)
+    own: dict[str, dict[str, Any]] = {name: {} for name in Served.model_fields}
+    required = [name for name in own if name != "response"]
+    return Derived(model=Served, properties=own | {"response": decoded_schema(interface.response)}, required=required)
+
+
+class Calling:
+    """The handler of one service tool."""
+
+    def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
+        self._gate = gate
+        self._targets = targets
+        self._tool = tool
+
+    async def __call__(self, arguments: CallService, context: CallContext) -> Served:
+        """Raises InvalidInputError, RefusedError, NotReadyError."""
+        exposed = self._targets.of(arguments.robot)
+        interface = service_of(exposed)
+        message = encode_argument(interface.request, arguments.request, "request")
+        request = gate_request(
+            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run
+        )  # fmt: skip
+        halt = threading.Event()
+
+        def work(_: Stage) -> Response:
+            return call(self._gate, exposed, request, arguments.timeout_s, halt)
+
+        response = await context.run(work, on_cancel=halt.set)
+        decoded: dict[str, Any] = (
+            {} if response.message is None else {"response": interface.response.decode(response.message)}
+        )
+        return Served(
+            robot=exposed.robot,
+            service=exposed.topic,
+            type=exposed.endpoint.type,
+            took_s=round(response.took_s, 6),
+            **verdict_fields(response.verdict),
+            **decoded,
+        )

@@ -1,0 +1,64 @@
+"""Messages that follow each other, each for its time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rn_standard.direct_path.delivery import Command, Sent
+from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.request import GateRequest
+from roboneuron.feature import Stage
+
+
+@dataclass(kw_only=True, slots=True)
+class Step:
+    """A message and how long it lasts [s]; `stamped` when its header is to carry the time of sending."""
+
+    message: Any
+    duration_s: float
+    stamped: bool = False
+
+
+def publish_steps(
+    gate: MotionGate, exposed: Exposed, request: GateRequest, steps: Sequence[Step], *, timeout_s: float, stage: Stage,
+    halt: threading.Event,
+) -> Sent:  # fmt: skip
+    """Send one message, or steps that last and follow each other; blocks.
+
+    Args:
+        gate: what they are sent through.
+        exposed: through which endpoint.
+        request: holds the messages of the steps.
+        steps: at least one.
+        timeout_s: longest wait for a subscriber.
+        stage: told how far it has come.
+        halt: set when the call is cancelled.
+
+    Raises:
+        RefusedError, NotReadyError, StateError, ConfigurationError: as `MotionGate.play`.
+    """
+    total_s = sum(step.duration_s for step in steps)
+    if not total_s:
+        return gate.publish(exposed, request, timeout_s=timeout_s, stamped=steps[0].stamped)
+    commands = commands_of(steps, exposed.endpoint.repeat_hz, stage)
+    return gate.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
+
+
+def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterator[Command]:
+    """The commands of steps that follow each other, each repeated while it lasts."""
+    period_s = 1.0 / repeat_hz if repeat_hz else float("inf")
+    total_s = sum(step.duration_s for step in steps)
+    began_s = due_s = time.monotonic()
+    for number, step in enumerate(steps, start=1):
+        stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")
+        end_s = due_s + step.duration_s
+        while True:
+            yield Command(message=step.message, due_s=min(end_s, time.monotonic() + period_s), stamped=step.stamped)
+            if time.monotonic() >= end_s:
+                break
+        due_s = end_s

@@ -1,0 +1,75 @@
+"""The robots that one tool serves: the `robot` argument where there are several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rn_standard.direct_path.delivery import TRAJECTORY
+from rn_standard.direct_path.exposed import Exposed
+from roboneuron.feature import Schema
+
+
+class Targets:
+    """Endpoints of the same label, kind and type, one per robot."""
+
+    def __init__(self, endpoints: Sequence[Exposed]) -> None:
+        self.endpoints = tuple(endpoints)
+        self._by_robot = {exposed.robot: exposed for exposed in endpoints}
+
+    @property
+    def first(self) -> Exposed:
+        """Any of them, for what they share."""
+        return self.endpoints[0]
+
+    @property
+    def arguments(self) -> list[str]:
+        """Names of the arguments that choose: "robot" when there is a choice."""
+        return ["robot"] if len(self.endpoints) > 1 else []
+
+    @property
+    def lasting(self) -> bool:
+        """Whether a published value is given a duration: it is stopped after it, repeated, or to be reached within."""
+        if self.trajectory:
+            return False
+        return any(e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited for e in self.endpoints)
+
+    @property
+    def trajectory(self) -> bool:
+        """Whether a message has a duration of its own."""
+        return self.first.endpoint.type == TRAJECTORY
+
+    def schema(self) -> dict[str, Schema]:
+        """The properties that choose."""
+        if len(self.endpoints) == 1:
+            return {}
+        return {"robot": {"enum": list(self._by_robot)}}
+
+    def of(self, robot: str) -> Exposed:
+        """The endpoint that a call is about; of the only robot when there is one."""
+        return self.first if len(self.endpoints) == 1 else self._by_robot[robot]
+
+    def describe(self) -> str:
+        """What there is to know of each robot's endpoint: topic, limits, rate."""
+        return " ".join(_describe(e, len(self.endpoints) > 1) for e in self.endpoints)
+
+
+def _describe(exposed: Exposed, named: bool) -> str:
+    endpoint = exposed.endpoint
+    parts = [f"{exposed.robot}: {endpoint.summary}" if named else endpoint.summary, f"On {exposed.topic}."]
+    if endpoint.bounds:
+        limits = [f"{path} {low:g} .. {high:g}" for path, (low, high) in endpoint.bounds.items() if low != high]
+        zeros = [path for path, (low, high) in endpoint.bounds.items() if low == high == 0]
+        fixed = [f"{path} = {low:g}" for path, (low, high) in endpoint.bounds.items() if low == high != 0]
+        if limits or fixed:
+            parts.append(f"Limits: {', '.join([*limits, *fixed])}.")
+        if zeros:
+            parts.append(f"Must be 0: {', '.join(zeros)}.")
+    if endpoint.min_turning_radius_m:
+        parts.append(f"Turning radius at least {endpoint.min_turning_radius_m:g} m.")
+    if endpoint.joint_limited:
+        parts.append("The robot's joint and velocity limits are enforced.")
+    if endpoint.rate_hz:
+        parts.append(f"At most {endpoint.rate_hz:g} messages per second.")
+    if exposed.clamp:
+        parts.append(f"Clamped to the limits: {', '.join(sorted(exposed.clamp))}.")
+    return " ".join(part for part in parts if part)

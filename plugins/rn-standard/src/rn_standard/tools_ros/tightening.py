@@ -1,0 +1,49 @@
+"""How a configuration tightens what a robot's profile allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from roboneuron import ConfigurationError, Endpoint
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ConfiguredLimits:
+    """What the configuration says about an endpoint, on top of the robot's profile.
+
+    Attributes:
+        bounds: field path -> (lowest, highest), within the profile's.
+        rate_hz: most messages per second, not above the profile's; None keeps it.
+        clamp: field paths to clamp instead of refuse; each needs a bound.
+    """
+
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rate_hz: float | None = None
+    clamp: frozenset[str] = frozenset()
+
+
+def tighten(endpoint: Endpoint, limits: ConfiguredLimits) -> Endpoint:
+    """Return the endpoint with the configured limits.
+
+    Raises:
+        ConfigurationError: a limit is wider than the profile's, or a path to clamp has no bound.
+    """
+    bounds = dict(endpoint.bounds)
+    for path, (low, high) in limits.bounds.items():
+        lowest, highest = endpoint.bounds.get(path, (-math.inf, math.inf))
+        if not lowest <= low <= high <= highest:
+            raise ConfigurationError(
+                f"Endpoint {endpoint.name!r}: {path} = [{low:g}, {high:g}] is not a range within the robot's "
+                f"[{lowest:g}, {highest:g}]; limits can only be tightened."
+            )
+        bounds[path] = (low, high)
+    for path in sorted(limits.clamp - set(bounds)):
+        raise ConfigurationError(f"Endpoint {endpoint.name!r}: {path} is to be clamped, but nothing bounds it.")
+    rate_hz = endpoint.rate_hz if limits.rate_hz is None else limits.rate_hz
+    if endpoint.rate_hz and not 0.0 < rate_hz <= endpoint.rate_hz:
+        raise ConfigurationError(
+            f"Endpoint {endpoint.name!r}: rate_hz = {rate_hz:g} is above the robot's {endpoint.rate_hz:g}."
+        )
+    return replace(endpoint, bounds=bounds, rate_hz=rate_hz)

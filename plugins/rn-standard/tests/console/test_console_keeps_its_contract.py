@@ -1,0 +1,20 @@
+"""The commands keep the contract of commands, and their package that of plugins."""
+
+import pytest
+
+from rn_standard.console.plugin import COMMANDS
+from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
+from roboneuron import CommandSpec
+
+
+class TestCommands(CommandContract):
+    @pytest.fixture(params=COMMANDS, ids=lambda spec: spec.name)
+    def plugin(self, request: pytest.FixtureRequest) -> CommandCase:
+        spec: CommandSpec = request.param
+        return CommandCase(spec=spec)
+
+
+class TestPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-standard", plugin="rn-console")

@@ -1,0 +1,227 @@
+"""A listening socket with bounds: silent connections, floods and a process without handles."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import resource
+import select
+import socket
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from contextlib import ExitStack, asynccontextmanager, closing, contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from rn_standard.http import listener as listener_module
+from rn_standard.http.listener import BoundedListener, Bounds, other_bounds, stop_bounds
+from rn_standard.http.tokens import TokenTable, shows_right
+from roboneuron.server.access import Holder
+
+pytestmark = pytest.mark.timeout(60)
+WIDE = Bounds(silent=100, unproven=100, unproven_of_one=100, new=1000, handle=10_000, handle_known=10_000)
+KNOWN = b"known"
+
+
+class Echo(asyncio.Protocol):
+    """Answers what it gets, and counts connections."""
+
+    made = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        type(self).made += 1
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.transport.write(data)  # type: ignore[attr-defined]
+
+
+@asynccontextmanager
+async def listening(bounds: Bounds) -> AsyncIterator[tuple[BoundedListener, Callable[[], socket.socket]]]:
+    """An echo server behind a listener, and a function that connects to it."""
+    bound = socket.socket()
+    bound.bind(("127.0.0.1", 0))
+    Echo.made = 0
+    listener = BoundedListener(bound, bounds, lambda first: first.startswith(KNOWN))
+    server = await asyncio.get_running_loop().create_server(Echo, sock=listener)
+    address = listener.getsockname()
+    with ExitStack() as stack:
+
+        def connect() -> socket.socket:
+            made = stack.enter_context(closing(socket.create_connection(address, timeout=10)))
+            made.setblocking(False)
+            return made
+
+        try:
+            yield listener, connect
+        finally:
+            server.close()
+            await asyncio.sleep(0)
+
+
+async def answer(connection: socket.socket, said: bytes = b"x") -> bytes:
+    """What comes back; empty when the connection is closed."""
+    loop = asyncio.get_running_loop()
+    try:
+        await loop.sock_sendall(connection, said)
+        return await asyncio.wait_for(loop.sock_recv(connection, 100), 10)
+    except ConnectionError:
+        return b""
+
+
+async def settle() -> None:
+    """The listener has seen everything that has come so far."""
+    for _ in range(10):
+        await asyncio.sleep(0.001)
+
+
+def is_closed(connection: socket.socket) -> bool:
+    if not select.select([connection], [], [], 0)[0]:
+        return False
+    try:
+        return connection.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+def run(test: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    asyncio.run(test())
+
+
+def test_a_silent_connection_reaches_no_server() -> None:
+    async def test() -> None:
+        async with listening(WIDE) as (_, connect):
+            silent = connect()
+            assert await answer(connect()) == b"x"
+            assert Echo.made == 1
+            assert await answer(silent) == b"x"
+
+    run(test)
+
+
+def test_the_oldest_silent_connection_gives_way() -> None:
+    async def test() -> None:
+        async with listening(replace(WIDE, silent=3)) as (_, connect):
+            crowd = [connect() for _ in range(5)]
+            await settle()
+            assert [is_closed(one) for one in crowd] == [True, True, False, False, False]
+            assert await answer(connect()) == b"x"
+
+    run(test)
+
+
+def test_a_silent_connection_is_closed_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listener_module, "SILENT_S", 0.05)
+
+    async def test() -> None:
+        async with listening(WIDE) as (_, connect):
+            early, late = connect(), connect()
+            loop = asyncio.get_running_loop()
+            assert await asyncio.wait_for(loop.sock_recv(early, 1), 10) == b""
+            assert await asyncio.wait_for(loop.sock_recv(late, 1), 10) == b""
+
+    run(test)
+
+
+def test_the_oldest_unproven_connection_gives_way_and_a_proven_one_does_not() -> None:
+    async def test() -> None:
+        async with listening(replace(WIDE, unproven_of_one=3)) as (listener, connect):
+            proven = connect()
+            assert await answer(proven) == b"x"
+            listener.prove(proven.getsockname())
+            crowd = []
+            for _ in range(5):
+                crowd.append(connect())
+                assert await answer(crowd[-1]) == b"x"
+            await settle()
+            assert [is_closed(one) for one in [proven, *crowd]] == [False, True, True, False, False, False]
+
+    run(test)
+
+
+def test_connections_that_have_ended_need_no_place() -> None:
+    async def test() -> None:
+        async with listening(replace(WIDE, unproven_of_one=2)) as (_, connect):
+            first = connect()
+            assert await answer(first) == b"x"
+            for _ in range(5):
+                ended = connect()
+                assert await answer(ended) == b"x"
+                ended.close()
+                await settle()
+            assert not is_closed(first)
+
+    run(test)
+
+
+def test_of_many_new_ones_only_those_with_a_right_are_served() -> None:
+    async def test() -> None:
+        async with listening(replace(WIDE, new=5)) as (_, connect):
+            answers = [await answer(connect()) for _ in range(8)]
+            assert answers == [b"x"] * 5 + [b""] * 3
+            assert await answer(connect(), KNOWN) == KNOWN
+
+    run(test)
+
+
+def test_some_handles_stay_free() -> None:
+    async def test() -> None:
+        next_one = os.dup(0)
+        os.close(next_one)
+        # each connection of this test takes two handles: one here, one of the server
+        async with listening(replace(WIDE, handle=next_one + 40)) as (_, connect):
+            crowd = [connect() for _ in range(60)]
+            await settle()
+            assert sum(is_closed(one) for one in crowd) >= 40
+            assert await answer(connect()) == b""
+            assert await answer(connect(), KNOWN) == KNOWN
+
+    run(test)
+
+
+@contextmanager
+def few_handles(left: int) -> Iterator[None]:
+    """This process may open only a few more."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    next_one = os.dup(0)
+    os.close(next_one)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (next_one + left, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_a_process_without_handles_says_so_once_and_serves_again(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with listening(WIDE) as (_, connect):
+            crowd = [connect() for _ in range(30)]  # in the queue of the kernel, since nothing was awaited
+            with few_handles(0):
+                await settle()
+                assert all(is_closed(one) for one in crowd)
+            assert await answer(connect()) == b"x"
+
+    with caplog.at_level(logging.ERROR):
+        run(test)
+    assert [record.levelname for record in caplog.records] == ["ERROR"], caplog.text
+    assert "A connection is refused" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
+def test_the_port_of_stops_may_use_handles_that_no_other_port_may() -> None:
+    for limit in (256, 1024, 524_288 * 2):
+        stops, others = stop_bounds(limit), other_bounds(128, limit)
+        assert others.handle <= limit // 2 < stops.handle < stops.handle_known < limit
+        assert stops.silent + stops.unproven < stops.handle
+
+
+def test_a_right_is_seen_in_the_first_bytes() -> None:
+    tokens = TokenTable([("0123456789abcdef", Holder(who="v", role="viewer"))])
+    head = b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\naUTHORIZATION: bearer %s\r\nAccept: */*\r\n\r\n"
+    assert shows_right(tokens, head % b"0123456789abcdef")
+    assert not shows_right(tokens, head % b"0123456789abcdeX")
+    assert not shows_right(tokens, b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
+    assert shows_right(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
+    assert not shows_right(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nget_status")

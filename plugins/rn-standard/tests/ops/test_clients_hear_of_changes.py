@@ -1,0 +1,71 @@
+"""Clients are told when tools and resources change, and only while the feature is there that tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client
+
+from rn_standard.ops.plugin import CLIENTS
+from rn_testing.fakes import fake_registry
+from roboneuron import FeatureSpec
+from roboneuron.config import parse_config
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+
+STATUS = "roboneuron://status"
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
+    """Return a function that makes an application with these features; no ROS is touched."""
+    made: list[Application] = []
+
+    def make(*specs: FeatureSpec) -> Application:
+        registry = fake_registry(*specs)
+        application = Application(
+            parse_config('[robot]\nname = "gantry"\n'),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        return application
+
+    yield make
+    for application in made:
+        application.close()
+
+
+@pytest.mark.parametrize("specs", [(CLIENTS,), ()], ids=["with", "without"])
+def test_what_clients_are_told_is_announced(make: Callable[..., Application], specs: tuple[FeatureSpec, ...]) -> None:
+    capabilities = make(*specs).server.create_initialization_options().capabilities
+    assert capabilities.tools.list_changed is bool(specs)
+    assert capabilities.resources.subscribe is bool(specs)
+
+
+@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")  # older revisions of the protocol
+def test_a_subscribed_client_hears_of_its_resource_and_of_tools(make: Callable[..., Application]) -> None:
+    application = make(CLIENTS)
+    heard: list[str] = []
+
+    async def on_message(message: Any) -> None:
+        heard.append(str(getattr(message, "method", message)))
+
+    async def scenario() -> None:
+        async with Client(application.server, mode="legacy", message_handler=on_message) as client:
+            await client.list_tools()
+            await client.session.subscribe_resource(STATUS)
+            application.host.events.resource.tell(STATUS)
+            application.host.events.tools.tell()
+            with anyio.fail_after(10):
+                while len(heard) < 2:
+                    await anyio.sleep(0.01)
+            await client.session.unsubscribe_resource(STATUS)
+
+    anyio.run(scenario)
+    assert {word.rpartition("/")[2] for word in heard} == {"updated", "list_changed"}

@@ -1,0 +1,189 @@
+"""`roboneuron doctor` on a sound machine and on broken ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from rn_standard.doctor import checks
+from rn_standard.doctor.finding import Finding, Verdict
+from rn_standard.doctor.images import ImageTransport
+from rn_testing.domain import free_ros_domain
+from roboneuron.config import Config, parse_config
+from roboneuron.errors import NotReadyError
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+
+MIB = 1 << 20
+
+
+def config_in(state: Path) -> Config:
+    return parse_config(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{state}"\n')
+
+
+def find(name: str, config: Config) -> Finding:
+    return next(finding for check, finding in checks.run_checks(config) if check.id == name)
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All checks run in every test; the slow two are replaced."""
+    quick = ImageTransport(sent=20, received=20, median_ms=1.0, worst_ms=2.0, neighbours=())
+    monkeypatch.setattr(checks, "measure_image_transport", lambda: quick)
+    monkeypatch.setattr(checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 40, total=1 << 40))
+    kept = tuple(check for check in checks.CHECKS if check.id != "gpu")
+    monkeypatch.setattr(checks, "CHECKS", kept)
+
+
+def test_a_state_directory_that_cannot_be_written_fails(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    finding = find("state", config_in(tmp_path / "file" / "state"))
+    assert finding.verdict is Verdict.FAILED
+    assert str(tmp_path / "file" / "state") in finding.text
+    assert "supervisor.state_directory" in finding.hint
+
+
+def test_little_space_for_shared_memory_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=64 * MIB, total=64 * MIB))
+    finding = find("shared-memory", config_in(tmp_path))
+    assert finding.verdict is Verdict.FAILED
+    assert "--shm-size" in finding.hint
+    assert find("state", config_in(tmp_path)).verdict is Verdict.WARNING
+
+
+def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None:
+    assert find("emergency-stop", config_in(tmp_path)).verdict is Verdict.OK
+    EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).latch(who="the test", reason="a finger")
+    finding = find("emergency-stop", config_in(tmp_path))
+    assert finding.verdict is Verdict.WARNING
+    assert "the test: a finger" in finding.text
+
+
+def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rn_robot_fr3")
+    config = parse_config('[robot]\nname = "fr3"\ndriver = "simulated"\n')
+    for there, told in ((("mujoco",), "with mujoco"), (("pybullet", "mujoco"), "with pybullet or mujoco")):
+        here: Callable[[str], bool] = there.__contains__
+        monkeypatch.setattr("roboneuron.plugins.availability.is_importable", here)
+        assert f"robot fr3 (simulated {told})" in find("configuration", config).text
+
+
+@pytest.mark.parametrize(
+    ("version", "cuda", "said"),
+    [
+        ("2.13.0+cu130", "13.0", "torch 2.13.0+cu130 (CUDA 13.0 build) sees no CUDA device."),
+        ("2.13.0+cpu", None, "torch 2.13.0+cpu (CPU build) sees no CUDA device."),
+    ],
+)
+def test_the_build_of_torch_is_told_where_there_is_no_gpu(
+    version: str, cuda: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    no_gpu = SimpleNamespace(is_available=lambda: False)
+    torch = SimpleNamespace(__version__=version, version=SimpleNamespace(cuda=cuda), cuda=no_gpu)
+    monkeypatch.setattr(checks.importlib, "import_module", lambda name: torch)
+    monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: object())
+    finding = checks._gpu(config_in(tmp_path))
+    assert finding.verdict is Verdict.WARNING
+    assert finding.text == said
+    assert ("the CPU build, which is smaller" in finding.hint) == (cuda is not None)
+
+
+def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) -> None:
+    finding = find("configuration", config_in(tmp_path))
+    assert finding.verdict is Verdict.FAILED
+    assert "'nobody'" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("seen", "verdict", "words"),
+    [
+        ({"received": 0}, Verdict.FAILED, "none arrived"),
+        ({"median_ms": 80.0}, Verdict.WARNING, "80.0 ms"),
+        ({"received": 5}, Verdict.WARNING, "5 of 20"),
+        ({"neighbours": ("/roboneuron_doctor_1", "/fr3/control")}, Verdict.WARNING, "1 other nodes"),
+    ],
+)
+def test_images_that_do_not_come_or_come_late_are_told(
+    seen: dict[str, object], verdict: Verdict, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = {"sent": 20, "received": 20, "median_ms": 1.0, "worst_ms": 2.0, "neighbours": ()}
+    monkeypatch.setattr(checks, "measure_image_transport", lambda: ImageTransport(**{**good, **seen}))
+    finding = find("images", config_in(tmp_path))
+    assert finding.verdict is verdict
+    assert words in finding.text
+
+
+def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> ImageTransport:
+        raise NotReadyError("The process that sends images hung for 20 s.")
+
+    monkeypatch.setattr(checks, "measure_image_transport", broken)
+    findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
+    assert findings["images"].verdict is Verdict.FAILED
+    assert "hung" in findings["images"].text
+    assert "configuration" in findings
+
+
+def test_a_check_that_breaks_is_a_finding_and_what_needs_it_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "_try_ros", lambda: 1 / 0)
+    monkeypatch.setattr(checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used"))
+    findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
+    assert findings["ros"].verdict is Verdict.FAILED
+    assert "ZeroDivisionError: division by zero" in findings["ros"].text
+    assert findings["images"].verdict is Verdict.WARNING
+    assert "Not tried: the check 'ros' failed." in findings["images"].text
+    assert "configuration" in findings
+
+
+def foreign_rclpy(folder: Path) -> str:
+    (folder / "rclpy").mkdir()
+    (folder / "rclpy" / "__init__.py").write_text("raise ImportError('built for another Python')\n")
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID is 'abc', expected a whole number from 0 to 232."),
+        ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300'"),
+        ("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID is '-1'"),
+        ("RMW_IMPLEMENTATION", "rmw_nope_cpp", "RMW_IMPLEMENTATION is 'rmw_nope_cpp', which is not installed"),
+        ("PYTHONPATH", "foreign", "rclpy would be imported from"),
+        ("PYTHONIOENCODING", "ascii", ""),
+    ],
+)
+def test_the_command_survives_what_it_is_for(variable: str, value: str, words: str, tmp_path: Path) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n')
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    environment[variable] = foreign_rclpy(tmp_path) if value == "foreign" else value
+    command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, env=environment)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert words in done.stdout
+    assert "no robot 'nobody'" in done.stdout  # the checks after it were made
+    assert done.stdout.isascii() == (variable == "PYTHONIOENCODING")
+
+
+@pytest.mark.ros
+def test_the_command_looks_at_the_real_machine(tmp_path: Path) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n')
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--json", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
+    findings = {f["id"]: f for f in json.loads(done.stdout)["findings"]}
+    assert done.returncode == 1
+    assert findings["configuration"]["verdict"] == "failed"
+    assert "images of 640x480 arrived" in findings["images"]["text"]
+    assert findings["ros"]["verdict"] == findings["interpreter"]["verdict"] == "ok"

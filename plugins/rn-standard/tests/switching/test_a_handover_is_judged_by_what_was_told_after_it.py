@@ -1,0 +1,128 @@
+"""A handover on a busy machine: what a new module has done counts, however late it says so, and it may answer late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from rn_standard.switching import warm_switch
+from rn_standard.switching.standby import ACT_FROM, PLAY_FROM
+from rn_standard.switching.warm_switch import WarmSwitch
+from roboneuron.errors import NotReadyError
+from roboneuron.supervisor.changes import Changes
+from roboneuron.supervisor.health import Report
+
+FIRST_S, BRIDGED_NS = 0.1, 40_000_000
+
+
+def switch_of(machine: object, check: object) -> WarmSwitch:
+    loop = SimpleNamespace(supervisor=machine, starts=None)
+    return WarmSwitch(cast(Any, loop), cast(Any, None), cast(Any, check), lambda stage: None)
+
+
+class Machine:
+    """A supervisor of an old and a new process, which report when the test says so."""
+
+    def __init__(self) -> None:
+        self.changes = Changes()
+        self.newest = Report(received_s=time.monotonic())
+        self._slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
+
+    def slot(self, kind: str) -> Any:
+        return self._slot
+
+    def report_of(self, slot: Any) -> Report:
+        return self.newest
+
+    def tell(self, delay_s: float, **metrics: str) -> None:
+        def now() -> None:
+            self.newest = Report(received_s=time.monotonic(), metrics=metrics)
+            self.changes.notify()
+
+        threading.Timer(delay_s, now).start()
+
+
+def first_output(machine: Machine) -> None:
+    check = SimpleNamespace(kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics)
+    switch = switch_of(machine, check)
+    switch._await_first_output(cast(Any, machine.slot("control")), time.monotonic(), 0.0)
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_switch, "_FIRST_S", FIRST_S)
+    monkeypatch.setattr(warm_switch, "_TOLD_S", 20.0)
+
+
+def test_a_report_that_comes_late_counts() -> None:
+    machine = Machine()
+    machine.tell(10 * FIRST_S, acted="yes")
+    first_output(machine)
+
+
+def test_one_that_reports_and_has_not_acted_is_undone_at_once() -> None:
+    machine = Machine()
+    machine.tell(2 * FIRST_S)
+    started_s = time.monotonic()
+    with pytest.raises(NotReadyError, match="did not act"):
+        first_output(machine)
+    assert time.monotonic() - started_s < 15.0
+
+
+def test_one_that_has_fallen_silent_is_undone_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_switch, "_TOLD_S", FIRST_S)
+    with pytest.raises(NotReadyError, match="did not act"):
+        first_output(Machine())
+
+
+class Client:
+    """Hears moments; the first `late` answers do not come in time."""
+
+    def __init__(self, late: int) -> None:
+        self.late = late
+        self.heard: list[tuple[float, float]] = []
+        self.bridged_ns = -1
+
+    def send(self, values: dict[str, int]) -> float:
+        self.heard.append((time.time_ns() / 1e9, values[ACT_FROM] / 1e9))
+        self.bridged_ns = values[PLAY_FROM] - values[ACT_FROM]
+        return 0.0
+
+    def finish(self, call: float, timeout_s: float, check: object) -> str:
+        if len(self.heard) <= self.late:
+            raise NotReadyError("It did not take its parameters in time.")
+        return ""
+
+
+def agree(client: Client) -> tuple[int, float]:
+    machine = Machine()
+    check = SimpleNamespace(kind="control", noun="controller")
+    switch = switch_of(machine, check)
+    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, BRIDGED_NS)
+
+
+@pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])
+def test_the_new_one_waits_for_rows_of_the_old_one_where_there_are_any(has_rows: bool, bridged_ns: int) -> None:
+    check = SimpleNamespace(kind="inference", has_rows=lambda: has_rows)
+    switch = switch_of(Machine(), check)
+    assert switch._bridged_ns(0.12) == bridged_ns
+
+
+def test_one_that_answers_too_late_is_told_a_later_moment() -> None:
+    client = Client(late=2)
+    moment_ns, due_s = agree(client)
+    assert [round(moment_s - sent_s, 1) for sent_s, moment_s in client.heard] == [0.5, 1.0, 2.0]
+    assert moment_ns / 1e9 == client.heard[-1][1]
+    assert due_s > time.monotonic()
+    assert client.bridged_ns == BRIDGED_NS
+
+
+def test_one_that_never_answers_in_time_is_not_waited_for_any_longer() -> None:
+    client = Client(late=10)
+    with pytest.raises(NotReadyError):
+        agree(client)
+    assert len(client.heard) == 3

@@ -1,0 +1,65 @@
+"""The arm tools need only the direct path, and are there as long as the robot's endpoints are exposed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
+from rn_standard.tools_arm.plugin import FEATURE
+from rn_standard.tools_ros.plugin import FEATURE as ROS_FEATURE
+from rn_testing.fakes import fake_registry
+from roboneuron.config import parse_config
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.server.app import Application
+from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.supervisor.supervisor import Supervisor
+
+Make = Callable[..., Application]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    """Return a function that builds an application for the fake arm with some features."""
+    made: list[Application] = []
+
+    def build(*features: FeatureSpec, text: str = "") -> Application:
+        registry = fake_registry(DIRECT_PATH, *features)
+        application = Application(
+            parse_config('[robot]\nname = "gantry"\n' + text),
+            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+        )
+        made.append(application)
+        return application
+
+    yield build
+    for application in made:
+        application.close()
+
+
+def names(application: Application) -> set[str]:
+    return {tool.name for tool in application.tools.listing()}
+
+
+def test_the_direct_path_alone_is_enough(make: Make) -> None:
+    bare, with_arm = make(), make(FEATURE)
+    assert names(with_arm) - names(bare) == {"move_ee", "place"}  # this robot exposes no trajectories
+
+
+def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:
+    assert "move_ee" in names(make(FEATURE, ROS_FEATURE))
+    assert "move_ee" not in names(make(FEATURE, ROS_FEATURE, text="[direct]\nprofile = false\n"))
+
+
+def test_no_feature_exposes_what_is_kept_for_control(make: Make) -> None:
+    gate = gate_of(make().host)
+    action = next(e for e in gate.exposed if e.hidden)
+    with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
+        gate.expose("another", [replace(action, endpoint=replace(action.endpoint, name="mine"))])
+    assert action in gate.exposed

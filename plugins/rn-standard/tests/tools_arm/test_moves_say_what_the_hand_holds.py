@@ -1,0 +1,229 @@
+"""move_ee, move_joints and place on an arm in computation: the grip that is sent, and what the answers say of it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from types import SimpleNamespace
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+
+from rn_standard.direct_path.delivery import Command, Sent
+from rn_standard.direct_path.request import GateRequest, Verdict
+from rn_standard.tools_arm import end_effector, grip, joints
+from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveEndEffector
+from rn_standard.tools_arm.joints import MoveJoints, _JointMover
+from rn_standard.tools_arm.options import ArmToolsOptions
+from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, _Placer
+from roboneuron.config import LimitsConfig
+from roboneuron.contract import GripperProfile, JointSample, Pose, RobotProfile
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.gate.motion.joint_space import JointLimit
+
+PROFILE = RobotProfile(
+    name="arm", arm_joints=("j1",), gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
+)
+OBJECT_M = 0.02
+TABLE_M = 0.1
+
+
+class Arm:
+    """Time, an arm that does what it is told at once, and an object that its hand closes around."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.place = np.array([0.4, 0.0, TABLE_M])
+        self.joint, self.commanded, self.object_m = 0.0, 1.0, OBJECT_M
+        self.grips: list[float] = []
+        self.highest_m = TABLE_M
+        self.listeners: list[Callable[[float], object]] = []
+        self.slips_at_s = float("inf")
+        self.max_duration_s = 120.0
+        self.phase = "running"
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def finger_m(self) -> float:
+        blocked_m = self.object_m if self.now_s < self.slips_at_s else 0.0
+        return max(self.commanded * 0.04, blocked_m)
+
+    def joints(self, exposed: Any, timeout_s: float) -> JointSample | None:
+        if self.phase != "running":
+            return None
+        return JointSample(names=("j1", "finger"), position=np.array([self.joint, self.finger_m()]))
+
+    def newest_joints(self, exposed: Any) -> JointSample | None:
+        return self.joints(exposed, 0.0)
+
+    def wait(self, timeout_s: float) -> Pose:
+        return Pose(position_m=self.place.copy(), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
+
+    def close_hand(self) -> None:
+        """As a policy does."""
+        for opening in (1.0, 0.0):
+            self.commanded = opening
+            for listener in self.listeners:
+                listener(float(self.place[2]))
+
+    def check_free(self, exposed: Any) -> None: ...
+
+    def open(self) -> None: ...
+
+    def slowdown(self, request: GateRequest) -> float:
+        return 1.0
+
+    def play(
+        self, exposed: Any, request: GateRequest, commands: Iterable[Command], *, total_s: float, timeout_s: float,
+        halt: threading.Event, details: Callable[[], str] = lambda: "",
+    ) -> Sent:  # fmt: skip
+        began_s, sent = self.now_s, 0
+        for command in commands:
+            if command.message is not None:
+                sent += 1
+                self._follow(command.message)
+            self.now_s = max(self.now_s + 0.01, command.due_s)
+        verdict = Verdict(allowed=True)
+        return Sent(verdict=verdict, messages=sent, subscribers=1, duration_s=self.now_s - began_s)
+
+    def _follow(self, message: Any) -> None:
+        if hasattr(message, "points"):
+            targets = dict(zip(message.joint_names, message.points[0].positions, strict=True))
+            self.joint = targets.get("j1", self.joint)
+            self.commanded = targets.get("finger", self.commanded * 0.04) / 0.04
+            return
+        self.place = self.place + np.array(message.data[:3])
+        self.highest_m = max(self.highest_m, float(self.place[2]))
+        self.commanded = message.data[6]
+        self.grips.append(message.data[6])
+
+    @property
+    def host(self) -> Any:
+        def view(kind: str) -> Any:
+            report = SimpleNamespace(metrics={"gripper_commanded": f"{self.commanded:g}"}, detail={}, note="")
+            return SimpleNamespace(report=report, phase=self.phase)
+
+        supervisor = SimpleNamespace(view=view, require_running=lambda kind: None)
+        loop = SimpleNamespace(limits=LimitsConfig())
+        return SimpleNamespace(supervisor=supervisor, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self)
+
+
+CONTEXT: Any = SimpleNamespace(who="agent", role="operator")
+
+
+@pytest.fixture
+def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
+    arm = Arm()
+
+    async def run(work: Callable[[Any], Any], **more: Any) -> Any:
+        return work(lambda _: None)
+
+    CONTEXT.run = run
+    for module in (end_effector, grip, joints):
+        monkeypatch.setattr(module, "time", arm)
+    monkeypatch.setattr(end_effector, "gate_of", lambda host: arm)
+    return arm
+
+
+def exposed() -> Any:
+    return SimpleNamespace(robot="arm", namespace="arm", profile=PROFILE, endpoint=SimpleNamespace(name="ee"))
+
+
+def mover(arm: Arm) -> EndEffectorMover:
+    tcp: Any = arm
+    return EndEffectorMover(exposed(), PROFILE, arm.host, ArmToolsOptions(), tcp)
+
+
+def move(arm: Arm, **arguments: Any) -> Any:
+    return anyio.run(mover(arm), MoveEndEffector(**arguments), CONTEXT)
+
+
+def place(arm: Arm, grip_height: GripHeight, **arguments: Any) -> Any:
+    return anyio.run(_Placer(mover(arm), grip_height), PlaceArguments(**arguments), CONTEXT)
+
+
+def watched(arm: Arm) -> GripHeight:
+    gate: Any = arm
+    found = GripHeight(arm.host, gate, exposed(), gate)
+    found.watch()
+    return found
+
+
+def test_a_move_sends_the_commanded_grip_and_says_that_the_hand_holds(arm: Arm) -> None:
+    arm.close_hand()
+    moved = move(arm, dz_m=0.02)
+    assert set(arm.grips) == {0.0}, "not the 0.5 at which the fingers are measured"
+    assert (moved.holding, moved.lost_on_the_way) == (True, False)
+    assert moved.target_m == pytest.approx([0.4, 0.0, TABLE_M + 0.02])
+    assert moved.moved["dz_m"] == pytest.approx(0.02, abs=0.002)
+
+
+def test_what_slips_out_on_the_way_is_lost_and_what_is_let_go_is_not(arm: Arm) -> None:
+    arm.close_hand()
+    arm.slips_at_s = arm.now_s + 0.5
+    assert move(arm, dz_m=0.2).lost_on_the_way
+    arm.slips_at_s = float("inf")
+    opened = move(arm, gripper_open=1.0)
+    assert (opened.holding, opened.lost_on_the_way) == (False, False)
+
+
+def test_a_finger_that_something_blocks_grasps(arm: Arm) -> None:
+    gate: Any = arm
+    limits = {
+        "j1": JointLimit(lower=-1, upper=1, velocity=1, acceleration=1),
+        "finger": JointLimit(lower=0, upper=0.04),
+    }
+    joint_mover = _JointMover(exposed(), limits, gate, arm.host)
+    moved = anyio.run(joint_mover, MoveJoints(positions={"finger": 0.0}), CONTEXT)
+    assert (moved.holding, moved.error, moved.position["finger"]) == (True, 0.0, OBJECT_M)
+    turned = anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
+    assert (turned.holding, turned.lost_on_the_way) == (True, False)
+
+
+def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_started(arm: Arm) -> None:
+    gate: Any = arm
+    joint_mover = _JointMover(exposed(), {"j1": JointLimit(lower=-1, upper=1)}, gate, arm.host)
+    arm.phase = "stopped"
+    with pytest.raises(NotReadyError) as caught:
+        anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
+    assert caught.value.hint == "Call start_robot first."
+    arm.phase = "running"
+    arm.joints = lambda exposed, timeout_s: None  # type: ignore[method-assign]
+    with pytest.raises(NotReadyError, match="The robot runs, but no joint state came"):
+        anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
+
+
+def test_what_is_held_is_carried_over_others_and_put_down_at_the_height_of_the_grasp(arm: Arm) -> None:
+    height = watched(arm)
+    arm.close_hand()
+    arm.place = arm.place + np.array([0.0, 0.0, 0.03])
+    placed = place(arm, height, dx_m=0.05, dy_m=0.15)
+    assert placed.released_at_m == pytest.approx([0.45, 0.15, TABLE_M + 0.002], abs=0.003)
+    assert arm.highest_m >= TABLE_M + 0.08
+    assert (placed.holding, arm.grips[-1]) == (False, 1.0)
+    assert arm.place[2] > TABLE_M + 0.07, "the hand has left upwards"
+    with pytest.raises(RefusedError, match="holds nothing"):
+        place(arm, height, dy_m=0.1)
+
+
+def test_a_height_that_nobody_saw_has_to_be_given(arm: Arm) -> None:
+    arm.commanded = 0.0
+    height = watched(arm)
+    with pytest.raises(InvalidInputError, match="how high the hand was"):
+        place(arm, height, dy_m=0.1)
+    placed = place(arm, height, dy_m=0.1, height_m=0.2)
+    assert placed.released_at_m[2] == pytest.approx(0.2, abs=0.003)
+
+
+def test_what_is_lost_while_it_is_carried_ends_the_call(arm: Arm) -> None:
+    height = watched(arm)
+    arm.close_hand()
+    arm.slips_at_s = arm.now_s + 1.0
+    with pytest.raises(StateError, match="lost what it held"):
+        place(arm, height, dy_m=0.4)
