@@ -189,7 +189,7 @@ def _registry(*more) -> Registry:
         *openvla_backends(),
         *oft_backends(),
     )
-    offers = tuple(Offer(spec=spec, distribution="test", status=Status.READY) for spec in specs)
+    offers = tuple(Offer(spec=spec, plugin="test", distribution="test", status=Status.READY) for spec in specs)
     return Registry(plugins=(), all_offers=offers)
 
 

@@ -258,3 +258,13 @@ def test_make_tiny_writes_a_checkpoint_that_loads(tmp_path, capsys):
     assert "constants" in capsys.readouterr().out
     _backend(tmp_path / "made").load()
     assert main(["make-tiny", str(tmp_path / "made")]) == 2
+
+
+def test_what_the_runtime_says_of_an_answer_reaches_the_status(tiny, monkeypatch):
+    backend = _backend(tiny)
+    backend.load()
+    run = backend._runtime.run
+    monkeypatch.setattr(
+        backend._runtime, "run", lambda request: dataclasses.replace(run(request), note="CUDA graph: eager.")
+    )
+    assert backend.predict(_observation()).note == "CUDA graph: eager."

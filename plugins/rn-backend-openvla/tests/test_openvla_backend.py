@@ -79,7 +79,7 @@ def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(t
 
         def run(self, request):
             self.image, self.text = request.prompt.images[0], request.prompt.text
-            return TokenReply(tokens=np.full(request.max_new_tokens, 31872))
+            return TokenReply(tokens=np.full(request.max_new_tokens, 31872), note="CUDA graph: eager.")
 
         def close(self): ...
 
@@ -88,6 +88,10 @@ def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(t
     backend.load()
     chunk = backend.predict(_observation(90))
     assert runtime.model.family == "openvla"
+    assert (
+        1 < runtime.model.min_prompt_tokens == backend._encoder.shortest() < backend._encoder.to_ids(runtime.text).size
+    )
+    assert chunk.note == "CUDA graph: eager."
     assert runtime.image.shape == (240, 320, 3)
     assert runtime.text.endswith("\nOut:")
     np.testing.assert_allclose(chunk.actions[0, :6], 0.0, atol=1e-3)  # the middle bin of a symmetric range

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -47,13 +48,19 @@ def test_a_complete_public_layout_loads(complete):
 
 
 @pytest.mark.parametrize(
-    ("config", "family"),
-    [({"type": "pi0"}, "'pi0'"), ({"model_type": "llama"}, "'llama'"), ({}, "None"), (["x"], "None")],
+    ("config", "family", "advice"),
+    [
+        ({"type": "pi0"}, "'pi0'", "Choose a backend that runs it: pi0."),
+        ({"model_type": "llama"}, "'llama'", "No backend of RoboNeuron runs that family"),
+        ({}, "None", "No backend of RoboNeuron runs that family"),
+        (["x"], "None", "No backend of RoboNeuron runs that family"),
+    ],
 )
-def test_a_checkpoint_of_another_family_is_named(complete, config, family):
+def test_a_checkpoint_of_another_family_is_named(complete, config, family, advice):
     (complete / "config.json").write_text(json.dumps(config))
-    with pytest.raises(CheckpointError, match=rf"family {family}, expected 'openvla'"):
+    with pytest.raises(CheckpointError, match=rf"family {family}, expected 'openvla'") as refusal:
         _load(complete)
+    assert refusal.value.hint.startswith(advice)
 
 
 def test_an_oft_checkpoint_is_sent_to_its_own_backend(complete):
@@ -104,12 +111,17 @@ def test_a_truncated_weight_file_is_named(complete):
         _load(complete)
 
 
-def test_nan_in_a_weight_is_named(complete):
+@pytest.mark.parametrize(
+    "name",
+    ["projector.fc1.bias", "vision_backbone.featurizer.blocks.2.mlp.fc1.bias"],
+    ids=["used", "of the block that is never run"],
+)
+def test_nan_in_a_weight_is_named(complete, name):
     path = complete / "model.safetensors"
     tensors = load_file(path)
-    tensors["projector.fc1.bias"][7] = torch.nan
+    tensors[name][7] = torch.nan
     save_file(tensors, path)
-    with pytest.raises(CheckpointError, match=r"NaN .*projector\.fc1\.bias"):
+    with pytest.raises(CheckpointError, match=rf"NaN .*{re.escape(name)}"):
         _load(complete)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rn_runtime_torch.config import TorchRuntimeConfig
+from rn_runtime_torch.decoder import Decoder
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_vla.openvla.policy import action_bins, policy_model, token_request
 from rn_vla.openvla.preprocessing import Preprocessor
@@ -16,6 +17,9 @@ from rn_vla.openvla.statistics import Scaling, choose_statistics
 
 LOGIT_TOLERANCE = 1e-4
 """Fused projections and SDPA sum in another order; 4e-6 was seen."""
+INT8_TOLERANCE = {"float32": 0.01, "bfloat16": 0.03}
+"""Of the largest logit. Products with int8 weights take their rows as bfloat16, which rounds by 2^-9, and so are
+outputs in bfloat16; 0.0017 and 0.0095 were seen with AVX-512, AVX2 and SSE4.1 kernels."""
 
 
 def _request(golden, pixel_values=None):
@@ -72,14 +76,35 @@ def test_half_precision_stays_near_the_float32_logits(golden, golden_checkpoint,
     assert np.abs(logits - golden["prefill_logits"]).max() < 0.05 * scale  # 8 bits of mantissa through 8 layers
 
 
-@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
-def test_decoding_with_int8_weights_gives_the_same_tokens(golden, golden_checkpoint, dtype):
-    """Nothing promises this for other checkpoints. In bfloat16 this random one leaves the original at token 3."""
-    tokens = {}
+@pytest.mark.parametrize("dtype", INT8_TOLERANCE)
+def test_decoding_with_int8_weights_stays_near_the_logits(golden, golden_checkpoint, monkeypatch, dtype):
+    """Compares every step that follows the same tokens: which of two nearly equal ones wins is decided by rounding."""
+    steps = {}
     for weights in ("same", "int8"):
         runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype=dtype, decode_weights=weights))
         runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
-        tokens[weights] = runtime.run(_request(golden)).tokens.tolist()
-    assert tokens["int8"] == tokens["same"]
-    assert tokens["int8"][:2] == golden["tokens"].tolist()[:2]
-    assert dtype == "bfloat16" or tokens["int8"] == golden["tokens"].tolist()
+        steps[weights] = _logits_of_each_step(runtime, _request(golden), monkeypatch)
+    compared = 0
+    for same, int8 in zip(steps["same"], steps["int8"], strict=True):
+        assert np.abs(int8 - same).max() < INT8_TOLERANCE[dtype] * np.abs(same).max()
+        compared += 1
+        if same.argmax() != int8.argmax():
+            break
+    assert compared >= 2  # the first is read from the prompt, with the weights themselves
+
+
+def _logits_of_each_step(runtime, request, monkeypatch):
+    """The seven logits (vocabulary,) that a request's tokens were chosen by."""
+    recorded = []
+    logits = Decoder.logits
+
+    def record(self, hidden):
+        answer = logits(self, hidden)
+        recorded.append(answer[0, -1].numpy().copy())
+        return answer
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Decoder, "logits", record)
+        tokens = runtime.run(request).tokens
+    assert [int(step.argmax()) for step in recorded[-7:]] == tokens.tolist()
+    return recorded[-7:]

@@ -94,6 +94,13 @@ def test_weights_that_are_not_finite_are_refused(copy: Path, bad: float) -> None
         _load(copy)
 
 
+def test_a_weight_that_inference_never_reads_is_checked_as_well(copy: Path) -> None:
+    key = PREFIX + "paligemma_with_expert.paligemma.model.language_model.layers.1.mlp.up_proj.weight"
+    _edit_weights(copy, lambda t: t[key].fill_(float("nan")))
+    with pytest.raises(CheckpointError, match=r"up_proj.*not finite"):
+        _load(copy)
+
+
 def test_a_truncated_file_is_refused(copy: Path) -> None:
     path = copy / "model.safetensors"
     path.write_bytes(path.read_bytes()[:-1000])
@@ -129,11 +136,19 @@ def test_a_shard_that_is_missing_is_named(copy: Path) -> None:
         _load(copy)
 
 
-@pytest.mark.parametrize("kind", ["pi05", "openvla", "smolvla"])
-def test_another_family_is_refused_by_name(copy: Path, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "advice"),
+    [
+        ("pi05", "No backend of RoboNeuron runs that family"),
+        ("smolvla", "No backend of RoboNeuron runs that family"),
+        ("openvla", "Choose a backend that runs it: openvla (OpenVLA), oft (OpenVLA-OFT)."),
+    ],
+)
+def test_another_family_is_refused_by_name(copy: Path, kind: str, advice: str) -> None:
     _edit_json(copy / "config.json", lambda c: c.update(type=kind))
-    with pytest.raises(CheckpointError, match=kind):
+    with pytest.raises(CheckpointError, match=kind) as refusal:
         read_checkpoint(copy)
+    assert refusal.value.hint.startswith(advice)
 
 
 def test_a_directory_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.case import contract_case, observe, paint_table
 from rn_backend_servo.chunk import pose_after, rows_done
 from rn_backend_servo.options import ServoOptions
-from rn_execution.adaptive import AdaptiveExecutor
-from rn_execution.mode import Abilities
+from rn_standard.execution.adaptive import AdaptiveExecutor
+from rn_standard.execution.mode import Abilities
 from roboneuron.contract import ActionChunk, Ahead, Observation
 from roboneuron.modules.execution import Bounds, Prediction
 

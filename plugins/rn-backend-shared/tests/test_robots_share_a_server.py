@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_backend_shared import server as server_module
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
 from rn_backend_shared.links import Links, directory_of
@@ -248,6 +250,57 @@ def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -
                 pass
     assert answers(one)
     assert threading.active_count() < 50
+
+
+def test_connections_that_say_nothing_keep_no_robot_out(served: Robot, tmp_path: Path) -> None:
+    one = served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(200)]
+        for silent in crowd:
+            silent.connect(str(path))
+        assert served().predict(SEEN).metrics["shared.batch"] == 1.0
+        assert one.predict(SEEN).actions.size
+        crowd[0].settimeout(20)
+        assert crowd[0].recv(1) == b""  # the oldest gave way
+
+
+def test_a_connection_without_a_first_request_ends(
+    served: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "_FIRST_S", 0.05)
+    served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.settimeout(20)
+        silent.connect(str(path))
+        assert silent.recv(1) == b""
+
+
+def test_a_server_without_handles_serves_again_when_it_has_some(
+    served: Robot, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(5)]
+        next_one = os.dup(0)
+        os.close(next_one)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (next_one, before[1]))
+        try:
+            for refused in crowd:
+                refused.connect(str(path))
+            assert one.predict(SEEN).actions.size  # who is connected is served
+            deadline_s = time.monotonic() + 20
+            while "cannot connect" not in caplog.text:
+                assert time.monotonic() < deadline_s
+                time.sleep(0.01)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert served().predict(SEEN).actions.size
+    assert caplog.text.count("cannot connect") < 5
+    assert "Traceback" not in caplog.text
 
 
 def test_sockets_lie_where_only_this_user_can_reach_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,19 @@
-"""The contract of backends, kept by `shared` in front of a real server process."""
+"""The contract of backends, kept by `shared` in front of a real server process, and that of its command."""
 
 from __future__ import annotations
 
 import pytest
 
 from rn_backend_shared.case import shared_case
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_backend_shared.plugin import COMMAND
+from rn_testing import (
+    BackendCase,
+    BackendContract,
+    CommandCase,
+    CommandContract,
+    PackageCase,
+    PackageContract,
+)
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -14,6 +22,12 @@ class TestShared(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return shared_case()
+
+
+class TestCommand(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=COMMAND)
 
 
 class TestPackage(PackageContract):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("control_msgs", reason="rn-interfaces-control is not built here (it needs a C++ compiler)")
+pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.options import Ros2ControlOptions

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-pytest.importorskip("control_msgs", reason="rn-interfaces-control is not built here (it needs a C++ compiler)")
+pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.link import End
@@ -181,6 +181,17 @@ def test_joint_states_that_cease_are_an_error_of_read_send_and_hold(rig):
     for use in (driver.read, lambda: driver.send(command()), driver.hold):
         with pytest.raises(NotReadyError, match=r"silent|ceased"):
             use()
+
+
+def test_states_that_cease_are_told_with_the_state_of_the_controller_and_its_fault(rig):
+    driver = rig.driver(mode="action", state_timeout_s=0.1, **BLOCKED)
+    rig.link.controller.blocked = True
+    driver.send(command())
+    wait_until(lambda: "path tolerance violated" in fault(driver))
+    rig.link.tells = False
+    wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15)
+    with pytest.raises(NotReadyError, match=r"silent.*/joint_trajectory_controller last reported .*path tolerance"):
+        driver.read()
 
 
 def test_a_hold_brakes_evenly_within_the_acceleration_limits(rig):

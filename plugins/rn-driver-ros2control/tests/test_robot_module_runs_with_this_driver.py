@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("control_msgs", reason="rn-interfaces-control is not built here (it needs a C++ compiler)")
+pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD

@@ -7,7 +7,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-pytest.importorskip("control_msgs", reason="rn-interfaces-control is not built here (it needs a C++ compiler)")
+pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
 
 from rn_driver_ros2control.standin import GOAL_VIOLATED, PATH_VIOLATED, SUCCESSFUL, StandIn, Tolerances
 from rn_driver_ros2control.trajectory import to_duration

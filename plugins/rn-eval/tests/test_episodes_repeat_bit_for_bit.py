@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from rn_eval.evaluate import evaluate
-from rn_eval.latency import median_s, parse_latency
+from rn_eval.latency import check_unit, median_s, parse_latency
 from rn_eval.ledger import read_records
 from rn_eval.pools import InProcess
 from rn_eval.runner import Runner
@@ -108,3 +108,35 @@ def test_latencies_are_drawn_from_a_file(tmp_path):
 def test_a_latency_that_is_not_understood_is_refused(text):
     with pytest.raises(ConfigurationError):
         parse_latency(text)
+
+
+@pytest.mark.parametrize("text", ["112", "0.112", "normal:112,10ms", "normal:112ms,10", "lognormal:112,0.2"])
+def test_a_latency_without_a_unit_is_refused_on_the_command_line(text):
+    with pytest.raises(ConfigurationError, match="has no unit") as refusal:
+        check_unit(text)
+    assert "ms or " in refusal.value.hint
+
+
+def test_a_deviation_of_a_logarithm_has_no_unit():
+    with pytest.raises(ConfigurationError, match="has a unit"):
+        check_unit("lognormal:112ms,0.2ms")
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "0.0", "112ms", "0.112s", "normal:112ms,0", "normal:0.1s,10ms", "lognormal:112ms,0.2", "measured"]
+)
+def test_a_latency_with_its_unit_passes(text):
+    check_unit(text)
+
+
+def test_the_command_refuses_it_before_it_makes_anything(toy, tmp_path):
+    from argparse import ArgumentParser
+
+    from rn_eval.command import Eval
+
+    parser = ArgumentParser()
+    Eval().configure(parser)
+    words = ["run", "--suite", "toy", "--backend", "steer", "--latency", "112", "--out", str(tmp_path / "out")]
+    with pytest.raises(ConfigurationError, match="--latency 112: 112 has no unit"):
+        Eval().run(parser.parse_args(words))
+    assert not (tmp_path / "out").exists()

@@ -1,9 +1,12 @@
-"""The command keeps the contract of commands, and its package that of plugins."""
+"""The command keeps the contract of commands, the suite that of suites, and the package that of plugins."""
 
 import pytest
 
+from rn_eval.contract_cases import SuiteCase, cubes_case
+from rn_eval.hooks import SuiteSpec
 from rn_eval.plugin import COMMAND
 from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
+from rn_testing.contracts import contract_of
 
 
 class TestEval(CommandContract):
@@ -12,7 +15,13 @@ class TestEval(CommandContract):
         return CommandCase(spec=COMMAND)
 
 
+class TestCubes(contract_of(SuiteSpec)):
+    @pytest.fixture
+    def plugin(self) -> SuiteCase:
+        return cubes_case()
+
+
 class TestPackage(PackageContract):
     @pytest.fixture
     def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-eval")
+        return PackageCase(distribution="rn-eval", plugin="rn-eval")

@@ -27,3 +27,22 @@ def test_a_small_cube_keeps_its_colour(name):
         film.add(float(at_s), "", table(colour))
     strip = np.asarray(Image.open(io.BytesIO(film.strip())).convert("RGB")).astype(int)
     assert np.abs(strip[84, 104] - np.array(COLOURS[name])).max() <= 16
+
+
+@pytest.mark.parametrize("width", [160, 224])
+def test_time_and_caption_stand_apart(width):
+    """One text beside the other reads "30.0send" in the font of the strip."""
+    film = Film()
+    film.add(0.0, "", np.full((160, width, 3), 128, np.uint8))
+    sheet = np.asarray(Image.open(io.BytesIO(film.strip((30.0, "end", film._frames[0][2])))).convert("L"))
+    inked = np.flatnonzero((sheet[160:, width + 3 :] < 128).any(axis=0))
+    assert len(inked) > 20
+    assert np.diff(inked).max() >= 8
+
+
+def test_a_caption_without_room_is_left_out():
+    film = Film()
+    film.add(0.0, "predicted-state", np.full((160, 60, 3), 128, np.uint8))
+    sheet = np.asarray(Image.open(io.BytesIO(film.strip())).convert("L"))
+    inked = np.flatnonzero((sheet[160:] < 128).any(axis=0))
+    assert inked.max() < 40

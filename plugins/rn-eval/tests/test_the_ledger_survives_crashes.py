@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import resource
 import signal
 
 import pytest
@@ -151,3 +152,24 @@ def test_a_line_holds_what_a_reader_needs(plan, tmp_path):
     assert line["outcome"]["metrics"] == {"tokens_kept": 64.0}
     assert line["measured"]["wall_s"] > 0
     assert len(line["measured"]["inference_ms"]) == line["outcome"]["predictions"]
+
+
+@pytest.mark.parametrize("with_strip", [False, True], ids=["line", "strip"])
+def test_a_full_disk_is_told_with_the_file_and_leaves_the_ledger_whole(plan, tmp_path, with_strip):
+    with Ledger(tmp_path) as ledger:
+        ledger.open(plan())
+        ledger.add(record(0))
+        whole = (tmp_path / FILE_NAME).read_bytes()
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 30, hard))  # as on a disk that is full
+        try:
+            with pytest.raises(StateError, match="cannot be written") as refusal:
+                ledger.add(record(1), b"x" * 100_000 if with_strip else None)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert ("strips" if with_strip else FILE_NAME) in refusal.value.message
+        assert "Free space" in refusal.value.hint
+        assert (tmp_path / FILE_NAME).read_bytes() == whole
+        ledger.add(record(1), b"x" if with_strip else None)
+    assert [r.key.seed for r in read_records(tmp_path)] == [0, 1]
+    assert [path.name for path in tmp_path.rglob(".*")] == []

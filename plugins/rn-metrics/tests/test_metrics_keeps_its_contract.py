@@ -3,19 +3,20 @@
 import pytest
 
 from rn_metrics.plugin import FEATURE
+from rn_standard.http.plugin import FEATURE as HTTP
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 
 
 class TestFeature(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE)
+        return FeatureCase(spec=FEATURE, needs=(HTTP,))
 
 
 class TestFeatureAtWork(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE, options={"prometheus": True, "port": 0})
+        return FeatureCase(spec=FEATURE, needs=(HTTP,), options={"prometheus": True, "port": 0})
 
 
 class TestPackage(PackageContract):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from dataclasses import replace
 from types import SimpleNamespace
 from urllib.error import URLError
 from urllib.request import urlopen
@@ -14,6 +13,7 @@ from mcp import Client
 from prometheus_client.parser import text_string_to_metric_families
 
 from rn_metrics.plugin import FEATURE
+from rn_standard.http.plugin import FEATURE as HTTP
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
@@ -30,7 +30,6 @@ namespace = "{namespace}"
 prometheus = {prometheus}
 port = 0
 """
-BOARD = Path(__file__).parents[3] / "docs" / "grafana" / "roboneuron.json"
 
 
 @pytest.fixture
@@ -39,7 +38,7 @@ def serve(tmp_path):
     made = []
 
     def make(*, prometheus=True, namespace="gantry"):
-        registry = fake_registry(FEATURE)
+        registry = fake_registry(HTTP, FEATURE)
         application = Application(
             parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
@@ -56,11 +55,11 @@ def serve(tmp_path):
 
 
 def scrape(feature):
-    """Samples by name and labels."""
+    """Samples by name and labels; those of the only robot without its label."""
     with urlopen(f"http://127.0.0.1:{feature.port}/metrics", timeout=30) as answer:
         text = answer.read().decode()
     return {
-        (sample.name, *sorted(sample.labels.items())): sample.value
+        (sample.name, *sorted(label for label in sample.labels.items() if label != ("robot", "gantry"))): sample.value
         for family in text_string_to_metric_families(text)
         for sample in family.samples
     }
@@ -150,7 +149,11 @@ def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(se
     health = [key for key in found if key[0] == "roboneuron_module_health"]
     assert all(dict(key[1:])["robot"] in ("left", "right") for key in health)
     left.close()
-    assert scrape(of_right)["roboneuron_emergency_stop",] == 0  # alone again, it needs no label
+    assert list(stops_of(scrape(of_right))) == ["right"]
+
+
+def stops_of(found):
+    return {dict(key[1:])["robot"]: value for key, value in found.items() if key[0] == "roboneuron_emergency_stop"}
 
 
 def test_the_last_robot_ends_the_endpoint(serve):
@@ -163,15 +166,32 @@ def test_the_last_robot_ends_the_endpoint(serve):
     assert scrape(later)["roboneuron_emergency_stop",] == 0
 
 
-def test_the_board_asks_for_metrics_that_there_are(serve):
+def test_the_metrics_of_the_only_robot_name_it_too(serve):
     _, feature = serve()
-    names = set()
-    for family in feature.meters.registry.collect():
-        suffixes = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}.get(family.type, ("",))
-        names |= {f"{family.name}{suffix}" for suffix in suffixes}
-    board = json.loads(BOARD.read_text())
-    asked = [target["expr"] for panel in board["panels"] for target in panel.get("targets", ())]
-    assert len(asked) >= 10
-    words = {word for expr in asked for word in expr.replace("(", " ").replace("{", " ").replace("[", " ").split()}
-    wanted = {word for word in words if word.startswith("roboneuron_")}
-    assert wanted <= names, wanted - names
+    with urlopen(f"http://127.0.0.1:{feature.port}/metrics", timeout=30) as answer:
+        lines = [line for line in answer.read().decode().splitlines() if not line.startswith("#")]
+    assert lines
+    assert all('robot="gantry"' in line for line in lines)
+
+
+def test_tasks_are_counted_by_outcome(serve):
+    _, feature = serve()
+
+    def run_task(outcome, **error):
+        context = SimpleNamespace(method="tools/call", params={"name": "run_task"})
+
+        async def ended(_):
+            return {"isError": bool(error), "structuredContent": {"outcome": outcome}, "_meta": {ERROR_META: error}}
+
+        anyio.run(feature.meters, context, ended)
+
+    feature.meters._host.tools.add_all([replace(feature.meters._host.tools.get("get_status"), name="run_task")])
+    for outcome in ("succeeded", "succeeded", "failed", "made up"):
+        run_task(outcome)
+    run_task("succeeded", code="refused")
+    found = scrape(feature)
+    assert found["roboneuron_tasks_total", ("outcome", "succeeded")] == 2
+    assert found["roboneuron_tasks_total", ("outcome", "failed")] == 1
+    assert found["roboneuron_tasks_total", ("outcome", "unclear")] == 0
+    assert found["roboneuron_task_seconds_count", ("outcome", "succeeded")] == 2
+    assert not [key for key in found if "made up" in str(key)]

@@ -13,8 +13,8 @@ from opentelemetry import trace
 from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
-from rn_direct_path import delivery
 from rn_metrics.spans import Spans, otlp_exporter
+from rn_standard.direct_path import delivery
 from roboneuron.gate.audit import AuditLog, AuditRecord
 
 SENT = AuditRecord(who="agent", role="admin", tool="publish_wheels", endpoint="wheels", verdict="allowed")

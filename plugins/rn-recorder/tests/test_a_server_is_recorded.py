@@ -86,7 +86,7 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
 
             async def pids() -> dict[str, Any]:
                 modules = (await do("get_status"))["modules"]
-                return {m["module"]: m["pid"] for m in modules}  # health would measure the machine's load
+                return {m["module"]: m.get("pid") for m in modules}  # health would measure the machine's load
 
             before = await pids()
             os.kill(recorder, signal.SIGSTOP)

@@ -14,6 +14,7 @@ import pytest
 from recorder_expectations import expected_episode
 
 from rn_runs.command import Runs
+from roboneuron import ConfigurationError
 
 ROOT = Path(__file__).parents[3]
 
@@ -39,3 +40,6 @@ def test_a_demonstration_is_recorded_exported_and_repeated(tmp_path: Path, capsy
     assert status == 0, capsys.readouterr().out
     told = json.loads((tmp_path / "compared/comparison.json").read_text())
     assert told["first_divergence"] is None
+    assert Runs().run(parser.parse_args([*replay, "--option", "servo.gain=0.01"])) == 1  # the option arrives
+    with pytest.raises(ConfigurationError, match=r"names 'torch', which this replay does not make.*It makes: servo"):
+        Runs().run(parser.parse_args([*replay, "--option", "torch.device=cpu"]))

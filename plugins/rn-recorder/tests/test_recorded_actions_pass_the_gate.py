@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
-from rn_direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_recorder.playing import PlayRecording, action_message, pace, pieces, playing_tool
 from rn_runs.against_robot import play
 from rn_runs.files import Record, RunFile
+from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationError, RefusedError, StateError
 from roboneuron.config import parse_config
-from roboneuron.gate.audit import FILE_NAME
+from roboneuron.gate.audit import AUDIT_FILE
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
@@ -61,7 +61,7 @@ def test_recorded_actions_move_the_simulation(
     assert played.path_m == pytest.approx(STEP_M * (STEPS - 1))
     assert played.end_m is not None
     assert played.end_m < played.path_m  # it moved there; how far depends on the machine's load
-    lines = [json.loads(line) for line in (tmp_path / "state" / FILE_NAME).read_text().splitlines()]
+    lines = [json.loads(line) for line in (tmp_path / "state" / AUDIT_FILE).read_text().splitlines()]
     found = [line["verdict"] for line in lines if line["tool"] == "play_recording"]
     assert found == ["would_allow", "allowed"]
     assert os.environ["ROBONEURON_RECORDER"] == "on"

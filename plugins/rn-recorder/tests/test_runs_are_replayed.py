@@ -113,6 +113,69 @@ def test_a_camera_that_the_backend_did_without_is_left_out(tmp_path: Path) -> No
         assert seen[1] == set(CAMERAS) - roles  # a backend that needs it gets the one before
 
 
+def without(run: Run, path: Path, *, predictions: tuple[int, ...] = (), images: tuple[int, ...] = ()) -> Run:
+    """The run as recorded where these were lost, by their numbers; images of the camera "front"."""
+    file = RunFile(path, {})
+    counts = {"predictions": 0, "front/image": 0}
+    lost = {"predictions": predictions, "front/image": images}
+    for record in read_records(run.files[0]):
+        name = next((name for name in counts if record.topic.endswith(name)), None)
+        if name is not None:
+            counts[name] += 1
+            if counts[name] - 1 in lost[name]:
+                continue
+        file.write(record)
+    file.finish()
+    return Run(id="gaps", kind="recording", files=(path,), facts={})
+
+
+class Counting:
+    """Answers by how often it was asked, whatever it sees, as a backend that remembers."""
+
+    asked = 0
+
+    def reset(self) -> None:
+        """It remembers on."""
+
+    def predict(self, seen: Observation) -> ActionChunk:
+        """The action of that number."""
+        self.asked += 1
+        return ActionChunk(actions=action(self.asked - 1)[None, :], step_s=0.1)
+
+
+def test_what_the_run_lacks_is_told(tmp_path: Path) -> None:
+    """One lost image and one lost prediction: the others are compared, and the answer says what is missing."""
+    run = record_run(store_in(tmp_path), "demo", INSTRUCTIONS)
+    gappy = without(run, tmp_path / "gaps.mcap", predictions=(9,), images=(4,))
+    profile = gantry_profile()
+    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    observations = Observations(gappy.files, cameras, frozenset(), profile)
+    found = list(replay(observations, Counting()))  # type: ignore[arg-type]
+    comparison = compare(found, EXACT, observations.gaps)
+    assert (observations.gaps.predictions, observations.gaps.without_image) == (1, 1)
+    assert comparison.predictions == 14
+    assert (comparison.diverging, comparison.first) == (10, 4)
+    text = describe(comparison, found)
+    assert "The run lacks 1 predictions" in text
+    assert "and an image of 1 predictions (they were not compared), first 0.40 s after the beginning" in text
+    assert "What differs comes after that: a backend that remembers" in text
+    assert comparison.to_dict()["predictions_lost"] == comparison.to_dict()["predictions_without_image"] == 1
+
+
+def test_a_run_without_gaps_tells_of_none(tmp_path: Path) -> None:
+    found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing())
+    assert "lacks" not in describe(compare(found, EXACT), found)
+
+
+def test_a_run_without_its_images_is_refused(tmp_path: Path) -> None:
+    run = without(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), tmp_path / "a.mcap", images=tuple(range(1, 99)))
+    profile = gantry_profile()
+    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    observations = Observations(run.files, cameras, frozenset(), profile)
+    assert observations.gaps.without_image == 15
+    assert len(list(observations)) == 1
+
+
 def test_the_first_divergence_is_named_and_plotted(tmp_path: Path) -> None:
     found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(wrong_from=5))
     comparison = compare(found, EXACT)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
+from argparse import ArgumentParser
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -13,10 +17,12 @@ import pytest
 from recorder_demonstrations import action, picture, record_run, store_in
 from recorder_expectations import expected_episode
 
+from rn_runs.command import Runs
+from rn_runs.files import Record, RunFile, read_records
 from rn_runs.lerobot import export
 from rn_runs.statistics import merge, stats_of
-from rn_runs.store import Store
-from roboneuron import ConfigurationError, InvalidInputError
+from rn_runs.store import Run, Store
+from roboneuron import ConfigurationError, InvalidInputError, StateError
 
 ROOT = Path(__file__).parents[3]
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
@@ -78,6 +84,112 @@ def test_episodes_are_selected_by_outcome(tmp_path: Path) -> None:
         export(runs, tmp_path / "set", outcome=None, fps=None, codec="h264")
     with pytest.raises(InvalidInputError, match="No episode with the outcome 'unknown'"):
         export(runs, tmp_path / "other", outcome="unknown", fps=None, codec="h264")
+
+
+def rewritten(run: Run, name: str, change: Callable[[Record], Record | None]) -> Run:
+    """A run of the same messages but for what `change` makes of them; None loses one."""
+    folder = run.files[0].parent.parent / name
+    folder.mkdir()
+    file = RunFile(folder / "part-0001.mcap", {"robot": "toy"})
+    for record in read_records(run.files[0]):
+        kept = change(record)
+        if kept is not None:
+            file.write(kept)
+    file.finish()
+    return Run(id=name, kind="recording", files=(folder / "part-0001.mcap",), facts={})
+
+
+def losing_image(number: int) -> Callable[[Record], Record | None]:
+    seen: list[Record] = []
+
+    def change(record: Record) -> Record | None:
+        if record.topic.endswith("front/image"):
+            seen.append(record)
+            return None if len(seen) - 1 == number else record
+        return record
+
+    return change
+
+
+def test_a_lost_image_leaves_out_its_episode_only(tmp_path: Path) -> None:
+    store = store_in(tmp_path)
+    whole = record_run(store, "whole", TWO)
+    lossy = rewritten(record_run(store, "other", TWO), "lossy", losing_image(11))
+    written = export([whole, lossy], tmp_path / "set", outcome=None, fps=None, codec="h264")
+    assert (written.episodes, written.frames) == (3, 24)
+    (left,) = written.skipped
+    assert (left.run, left.instruction) == ("lossy", "put it down")
+    assert "1 of its 8 images of camera 'front' are lost or damaged, the first at 0.30 s" in left.why
+    table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
+    assert table["episode_index"] == [0] * 8 + [1] * 8 + [2] * 8
+    video = frames_of(tmp_path / "set/videos/observation.images.front/chunk-000/file-000.mp4")
+    for number, image in zip((*range(16), *range(8)), video, strict=True):
+        assert np.abs(image.astype(int) - picture("front", number)).mean() < 4
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda record: None if record.topic.endswith("/action") else record, "holds no actions"),
+        (lambda record: None if record.topic.endswith("/image") else record, "holds no images"),
+        (lambda record: None if "hand" in record.topic else record, "other cameras"),
+        (
+            lambda record: replace(record, data=record.data[:200]) if record.topic.endswith("/image") else record,
+            "images of camera 'front' are lost or damaged",
+        ),
+    ],
+    ids=["no actions", "no images", "another camera", "damaged images"],
+)
+def test_a_run_that_lacks_something_leaves_the_others_whole(tmp_path: Path, change, why: str) -> None:
+    store = store_in(tmp_path)
+    whole = record_run(store, "whole", TWO)
+    bad = rewritten(record_run(store, "other", TWO[:1]), "bad", change)
+    written = export([bad, whole], tmp_path / "set", outcome=None, fps=None, codec="h264")
+    assert (written.episodes, written.frames) == (2, 16)
+    assert {left.run for left in written.skipped} == {"bad"}
+    assert why in written.skipped[0].why
+
+
+def test_an_export_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = store_in(tmp_path)
+    lossy = rewritten(record_run(store, "other", TWO[:1]), "lossy", losing_image(2))
+    target = tmp_path / "out" / "set"
+    target.parent.mkdir()
+    with pytest.raises(InvalidInputError, match="can be exported") as refusal:
+        export([lossy], target, outcome=None, fps=None, codec="h264")
+    assert "lossy: 1 of its 8 images" in refusal.value.hint
+    assert list(target.parent.iterdir()) == []
+
+    def full(table: object, path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(StateError, match=r"file-000\.parquet cannot be written: No space left"):
+        export([store.get("other")], target, outcome=None, fps=None, codec="h264")
+    assert list(target.parent.iterdir()) == []
+
+
+def test_the_command_names_what_it_leaves_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = store_in(tmp_path)
+    run = record_run(store, "whole", TWO)
+    rewritten(run, "lossy", losing_image(2))
+    parser = ArgumentParser()
+    command = Runs()
+    command.configure(parser)
+    words = [
+        "--directory",
+        str(store.directory),
+        "export",
+        "all",
+        "--lerobot",
+        str(tmp_path / "set"),
+        "--codec",
+        "h264",
+    ]
+    assert command.run(parser.parse_args(words)) == 1
+    told = capsys.readouterr()
+    assert "3 episodes, 24 frames" in told.out
+    assert "Left out: the episode 'pick up the cup' of lossy: 1 of its 8 images" in told.err
 
 
 def test_statistics_of_parts_merge_into_those_of_the_whole() -> None:

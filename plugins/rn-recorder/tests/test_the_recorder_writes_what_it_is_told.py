@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 
 from rn_runs.files import Record, read_attachments
 from rn_runs.images import IMAGE, pixels_of
-from rn_runs.node import AUDIT, RecorderProcess
+from rn_runs.node import AUDIT_FILE, RecorderProcess
 from rn_runs.reading import count_topics, iterate
 from rn_runs.settings import RecorderSettings, RulesSettings
 from rn_runs.store import Run
@@ -71,7 +71,7 @@ def test_calls_changes_and_verdicts_are_in_the_file(record: Callable[..., Record
             {"do": "event", "what": what, "at_ns": BEGIN_NS + number, "facts": facts, "incident": ""}
         )
     lines = [{"verdict": "refused", "tool": "publish_cmd_vel", "rule": "bounds"}, {"verdict": "latched", "who": "ann"}]
-    (tmp_path / AUDIT).write_text("".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines))
+    (tmp_path / AUDIT_FILE).write_text("".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines))
     runs = {run.kind: run for run in finished(process)}
     events = [json.loads(found.message.data) for found in iterate(runs["recording"].files, lambda t: "events" in t)]
     assert [(event["what"], event.get("tool", "")) for event in events] == [

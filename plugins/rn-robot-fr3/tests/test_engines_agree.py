@@ -74,6 +74,7 @@ def test_engines_draw_the_same_cubes_in_the_same_places() -> None:
 def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     here: Callable[[str], bool] = names.__contains__
     monkeypatch.setattr("roboneuron.plugins.availability.is_importable", here)
+    monkeypatch.setattr("rn_simulation.engine.find_spec", lambda name: name if here(name) else None)
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,15 @@ from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.fakes import MemoryTopics
 from roboneuron import JointCommand, NotReadyError, RefusedError, StateError, UnsafeError
+from roboneuron.plugins.availability import is_importable
 
 PYTHON = Path(os.environ.get("ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"))
-pytest.importorskip("franky", reason="needs franky-control: pip install 'rn-robot-fr3[fci]'")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"),
+    pytest.mark.skipif(
+        not is_importable("pylibfranka"), reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'"
+    ),
 ]
 HOME = np.array(HOME_RAD)
 _PATIENCE_S = 30.0
@@ -38,7 +41,7 @@ def sim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FrankaSim]:
 
 @pytest.fixture
 def driver(sim: FrankaSim) -> Iterator[FciDriver]:
-    options = FciDriverOptions(host="127.0.0.1", realtime="ignored", scene="127.0.0.1:1339", watchdog_s=5.0)
+    options = FciDriverOptions(host=sim.host, realtime="ignored", scene=sim.scene_address, watchdog_s=5.0)
     made = FciDriver(options, profile(), MemoryTopics())
     made.open()
     yield made
@@ -150,7 +153,7 @@ def test_a_reflex_is_a_fault_that_a_person_recovers(driver: FciDriver, sim: Fran
 
 
 def test_a_module_that_asks_for_nothing_is_stopped(sim: FrankaSim) -> None:
-    options = FciDriverOptions(host="127.0.0.1", realtime="ignored", watchdog_s=0.2, gripper=False)
+    options = FciDriverOptions(host=sim.host, realtime="ignored", watchdog_s=0.2, gripper=False)
     driver = FciDriver(options, profile(), MemoryTopics())
     driver.open()
     try:
@@ -162,8 +165,8 @@ def test_a_module_that_asks_for_nothing_is_stopped(sim: FrankaSim) -> None:
         driver.close()
 
 
-def test_a_second_client_is_told_so(driver: FciDriver) -> None:
-    options = FciDriverOptions(host="127.0.0.1", realtime="ignored", connect_timeout_s=1.0, gripper=False)
+def test_a_second_client_is_told_so(driver: FciDriver, sim: FrankaSim) -> None:
+    options = FciDriverOptions(host=sim.host, realtime="ignored", connect_timeout_s=1.0, gripper=False)
     second = FciDriver(options, profile(), MemoryTopics())
     with pytest.raises(NotReadyError, match="Another client"):
         second.open()
@@ -172,6 +175,6 @@ def test_a_second_client_is_told_so(driver: FciDriver) -> None:
 def test_an_ordinary_kernel_is_refused_unless_it_is_ignored(sim: FrankaSim) -> None:
     if Path("/sys/kernel/realtime").exists():
         pytest.skip("this kernel is real-time")
-    strict = FciDriver(FciDriverOptions(host="127.0.0.1", gripper=False), profile(), MemoryTopics())
+    strict = FciDriver(FciDriverOptions(host=sim.host, gripper=False), profile(), MemoryTopics())
     with pytest.raises(Exception, match="PREEMPT_RT"):
         strict.open()

@@ -6,6 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from rn_robot_fr3.fci import faults
+from rn_robot_fr3.fci.arm import ClientError
 from rn_robot_fr3.fci.driver import FciDriver
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.profile import profile
@@ -19,6 +20,8 @@ from roboneuron import ConfigurationError, NotReadyError
         ("UserStopped", (), "user_stop"),
         ("Guiding", (), "guiding"),
         ("Other", (), "brakes_locked"),
+        ("AutomaticErrorRecovery", (), "recovering"),
+        ("Reflex", ("joint_motion_generator_velocity_discontinuity",), "commands_disordered"),
         ("Reflex", ("cartesian_reflex",), "reflex"),
         ("Reflex", ("joint_position_limits_violation",), "joint_limit"),
         ("Reflex", ("joint_motion_generator_position_limits_violation",), "joint_limit"),
@@ -31,7 +34,7 @@ def test_a_state_shows_one_fault(mode: str, errors: tuple[str, ...], code: str) 
     assert fault is not None
     assert fault.code == code
     assert "recover_robot" in fault.hint
-    assert fault.stands == (mode in ("UserStopped", "Guiding", "Other"))
+    assert fault.stands == (mode in ("UserStopped", "Guiding", "Other", "AutomaticErrorRecovery"))
     assert code in str(fault.error())
 
 
@@ -55,6 +58,40 @@ def test_exceptions_of_the_client_become_faults() -> None:
 
 
 @pytest.mark.parametrize(
+    ("kind", "text", "code"),
+    [
+        ("CommandException", "Move command rejected due to activated safety function!", "safety_function"),
+        ("CommandException", "command rejected: command not possible in the current mode (Other)!", "not_possible_now"),
+        ("CommandException", "command rejected: manual error recovery required!", "manual_recovery"),
+        ("CommunicationLost", "no state of the robot came for 25 ms", "communication_lost"),
+        ("PlannerException", "planner failed", "planner_failed"),
+    ],
+)
+def test_a_refused_request_is_told_in_words_that_fit(kind: str, text: str, code: str) -> None:
+    fault = faults.from_exception(ClientError(kind, f"libfranka: {text}"))
+    assert fault.code == code
+    assert "recover_robot" in fault.hint
+
+
+def test_the_mode_other_names_all_that_it_can_mean() -> None:
+    fault = faults.from_mode("Other", ())
+    assert fault is not None
+    for word in ("brakes", "FCI", "self-test"):
+        assert word in fault.message
+    assert "opens no brakes" in fault.hint
+
+
+def test_a_refused_recovery_says_why_and_leaves_the_fault_alone() -> None:
+    fault = faults.from_exception(named("NetworkException", "libfranka: UDP receive: Timeout"))
+    told = [str(faults.still(fault, ClientError("NetworkException", "no route"))) for _ in range(3)]
+    assert len(set(told)) == 1
+    assert "communication_lost" in told[0]
+    assert "no route" in told[0]
+    unlock = faults.still(fault, ClientError("CommandException", "command not possible in the current mode"))
+    assert "joints unlocked" in str(unlock)
+
+
+@pytest.mark.parametrize(
     ("kind", "error", "says"),
     [
         ("RealtimeException", ConfigurationError, "PREEMPT_RT"),
@@ -74,8 +111,9 @@ def test_without_an_address_it_says_what_to_set() -> None:
 
 
 def test_nobody_at_the_address_is_said_at_once() -> None:
-    pytest.importorskip("franky", reason="needs franky-control: pip install 'rn-robot-fr3[fci]'")
-    driver = FciDriver(FciDriverOptions(host="127.99.0.1", realtime="ignored"), profile(), MemoryTopics())
+    driver = FciDriver(
+        FciDriverOptions(host="127.99.0.1", realtime="ignored", gripper=False), profile(), MemoryTopics()
+    )
     with pytest.raises(NotReadyError, match=r"Nobody answers at 127\.99\.0\.1"):
         driver.open()
     driver.close()

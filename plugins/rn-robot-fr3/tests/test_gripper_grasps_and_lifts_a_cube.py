@@ -63,3 +63,36 @@ def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, c
         simulation.set_target([FINGER_JOINT], [0.04], 0.2)
         simulation.step(240)
         assert simulation.cubes()[colour].held_s == 0.0
+
+
+def test_a_grip_that_is_commanded_again_and_again_keeps_its_force(engine: Engine) -> None:
+    """Control repeats the opening with every action: the setpoint stays inside of what is held."""
+    with Simulation(0, engine=engine) as simulation:
+        simulation.set_target([FINGER_JOINT], [0.0], 0.3)
+        simulation.step(200)
+        for _ in range(10):
+            simulation.set_target([FINGER_JOINT], [0.0], 0.1)
+            assert simulation._setpoint.position[-1] < 1e-3
+        simulation.set_target([FINGER_JOINT], [0.04], 0.5)
+        simulation.step(200)
+        assert simulation.gripper_open() > 0.97
+
+
+def test_a_held_cube_is_kept_by_the_commanded_opening(engine: Engine) -> None:
+    """Actions hold an opening: 2 cm up in ten of them, as move_ee does, with the cube in the hand."""
+    with Simulation(0, engine=engine) as simulation:
+        cube, q = simulation.cubes()["red"], np.array(HOME_RAD)
+        x, y = cube.position_m[:2]
+        yaw = 2.0 * np.arctan2(cube.quaternion_xyzw[2], cube.quaternion_xyzw[3])
+        down = np.array([[np.cos(yaw), np.sin(yaw), 0], [np.sin(yaw), -np.cos(yaw), 0], [0, 0, -1]])
+        for z, finger_m in ((0.15, 0.04), (0.02, 0.04), (0.02, 0.0), (0.20, 0.0)):
+            q = solve(pin.SE3(down, np.array([x, y, z])), q)
+            simulation.set_target([*ARM_JOINTS, FINGER_JOINT], [*q, finger_m], 1.0)
+            simulation.step(round(1.3 / STEP_S))
+        for number in range(1, 11):
+            q = solve(pin.SE3(down, np.array([x, y, 0.20 + 0.002 * number])), q)
+            simulation.set_target([*ARM_JOINTS, FINGER_JOINT], [*q, 0.0], 0.1)
+            simulation.step(round(0.1 / STEP_S))
+        simulation.step(round(2.0 / STEP_S))
+        assert simulation.cubes()["red"].lifted_m > 0.19
+        assert simulation.cubes()["red"].held_s > 2.0

@@ -6,7 +6,11 @@ import inspect
 
 import pytest
 
+from rn_robot_fr3 import state_message
+from rn_robot_fr3.fci import state_topics
 from rn_robot_fr3.plugin import roboneuron_robots
+from rn_robot_fr3.profile import profile
+from roboneuron.plugins.availability import is_importable
 from roboneuron.plugins.loading import load_options_model, load_target
 
 SPEC = roboneuron_robots()[0]
@@ -19,15 +23,14 @@ def test_the_drivers_by_name():
 @pytest.mark.parametrize("driver", SPEC.drivers, ids=lambda driver: driver.name)
 def test_every_driver_takes_options_profile_and_topics(driver):
     for requirement in driver.requires:
-        for module in (requirement.module, *requirement.alternatives):
-            try:
-                __import__(module)
-            except ModuleNotFoundError:
-                continue
-            break
-        else:
+        if not any(map(is_importable, (requirement.module, *requirement.alternatives))):
             pytest.skip(f"{requirement.module} is not installed: {requirement.install}")
     assert list(inspect.signature(load_target(driver)).parameters) == ["config", "profile", "topics"]
     assert load_options_model(driver) is not None
     for method in ("open", "read", "send", "hold", "close"):
         assert callable(getattr(load_target(driver), method))
+
+
+def test_the_topics_that_drivers_write_are_named_in_the_profile():
+    names = ("MEASURED_JOINTS", "EXTERNAL_TORQUES", "EXTERNAL_WRENCH", "CURRENT_POSE", "ROBOT_STATE")
+    assert {state_message.TOPIC, *(getattr(state_topics, name) for name in names)} == set(profile().own_topics)

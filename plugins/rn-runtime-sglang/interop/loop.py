@@ -24,8 +24,8 @@ import psutil
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-from rn_demo.agent import Agent, module_status
 from rn_runtime_sglang.standin.site import write_site
+from rn_standard.demo.agent import Agent, module_status
 from rn_testing.domain import free_ros_domain
 from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny
 from roboneuron.errors import NotReadyError

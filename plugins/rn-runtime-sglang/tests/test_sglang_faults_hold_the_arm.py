@@ -127,6 +127,18 @@ def test_a_server_killed_during_a_request_ends_it_at_once_and_its_return_is_noti
     assert runtime.run(token_request()).tokens.size == 7
 
 
+def test_a_killed_stand_in_answers_nobody(launch, connect, monkeypatch):
+    server = launch()
+    runtime = connect(server, timeout_s=60.0)
+    server.behaviour.delay_s = 60.0
+    error = _run_until_sent(runtime, server)
+    hang_up = type(server._http).hang_up
+    # On a busy machine the waiting handler goes on before the connections are closed.
+    monkeypatch.setattr(type(server._http), "hang_up", lambda http: (time.sleep(0.3), hang_up(http)))
+    server.stop()
+    assert isinstance(error(), NotReadyError)
+
+
 def test_abort_ends_a_request_at_once_here_and_there(launch, connect):
     server = launch()
     runtime = connect(server, timeout_s=60.0)

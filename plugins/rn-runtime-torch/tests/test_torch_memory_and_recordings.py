@@ -156,9 +156,77 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
     for length in (7, 11, 60):
         request, asked = toy.token_request(length), []
         reply = engine.answer(request, functools.partial(asked.append, length))
+        assert reply.note == f"CUDA graph: eager, prompt of {length} tokens (recorded: 8 to 10)."
+        assert reply.metrics["recorded"] == 0.0
         assert len(asked) == 6  # between tokens: an unrecorded request can be given up
         assert reply.tokens.tolist() == plain.answer(request, lambda: None).tokens.tolist()
     assert len(engine._graphs) == 3
+    assert engine.answer(toy.token_request(9), lambda: None).note == ""
+
+
+def with_fake_graphs(toy, monkeypatch, config=CPU) -> Engine:
+    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens without a preset."""
+    engine = Engine(toy.model(), config, None)
+    monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
+    engine._graphs = GraphCache(torch.device("cpu"))
+    engine._recording = True
+    engine.answer(toy.token_request(9), lambda: None)
+    engine._recording = False
+    return engine
+
+
+def test_a_change_of_preset_records_the_prompt_length_in_use(toy, monkeypatch):
+    engine = with_fake_graphs(toy, monkeypatch)
+    engine.answer(toy.token_request(11), lambda: None)
+    engine.set_acceleration(EqualSelection())
+    assert len(engine._graphs) == 2
+    assert engine.answer(toy.token_request(11), lambda: None).metrics["recorded"] == 1.0
+    other = engine.answer(toy.token_request(9), lambda: None)
+    assert (other.metrics["recorded"], other.note) == (
+        0.0,
+        "CUDA graph: eager, prompt of 9 tokens (recorded: 11 only).",
+    )
+    for preset in (None, EqualSelection(), None):  # what is recorded already is not recorded again
+        engine.answer(toy.token_request(9 if preset is None else 11), lambda: None)
+        engine.set_acceleration(preset)
+    assert len(engine._graphs) <= 4
+
+
+def test_a_change_records_nothing_when_told_not_to_and_says_so(toy, monkeypatch):
+    config = TorchRuntimeConfig(device="cpu", dtype="float32", record_at_change=False)
+    engine = with_fake_graphs(toy, monkeypatch, config)
+    engine.set_acceleration(EqualSelection())
+    assert len(engine._graphs) == 1
+    reply = engine.answer(toy.token_request(9), lambda: None)
+    assert reply.note == "CUDA graph: eager, none is recorded for the preset in force."
+
+
+def test_there_are_never_more_recordings_than_may_be(toy, monkeypatch):
+    monkeypatch.setattr("rn_runtime_torch.engine.MOST_RECORDINGS", 1)
+    engine = with_fake_graphs(toy, monkeypatch)
+    engine.set_acceleration(EqualSelection())
+    assert len(engine._graphs) == 1
+    assert "none is recorded" in engine.answer(toy.token_request(9), lambda: None).note
+
+
+def test_without_graphs_there_is_nothing_to_tell(toy):
+    assert Engine(toy.model(), CPU, None).answer(toy.token_request(60), lambda: None).note == ""
+
+
+def test_batches_say_that_they_run_eagerly(toy, monkeypatch):
+    engine = with_fake_graphs(toy, monkeypatch)
+    replies = engine.answer_batch([toy.rows_request(), toy.rows_request()], lambda: None)
+    assert {(reply.note, reply.metrics["recorded"]) for reply in replies} == {("CUDA graph: eager, batch of 2.", 0.0)}
+
+
+@pytest.mark.parametrize(("shortest", "lengths"), [(18, (18, 46)), (50, (50, 64))])
+def test_load_records_from_the_shortest_prompt_that_the_template_makes(toy, monkeypatch, shortest, lengths):
+    engine = with_fake_graphs(toy, monkeypatch)
+    engine._model = dataclasses.replace(toy.model(), min_prompt_tokens=shortest)
+    found = engine._warm_lengths(CPU)
+    assert (found[0], found[-1]) == lengths
+    explicit = engine._warm_lengths(TorchRuntimeConfig(warm_prompt_tokens=(20, 22)))
+    assert list(explicit) == [20, 21, 22]
 
 
 class EqualSelection(EveryOtherToken):
@@ -181,6 +249,7 @@ def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypat
     request = toy.token_request(9)
     engine.answer(request, lambda: None)
     engine._recording = False
+    engine._records_at_change = False
     for preset, alone, recorded in ((None, plain, 0.0), (EqualSelection(), pruned, 1.0), (None, plain, 0.0)):
         engine.set_acceleration(preset)
         reply, expected = engine.answer(request, lambda: None), alone.answer(request, lambda: None)

@@ -78,7 +78,9 @@ def test_an_automatic_robot_case_moves_nothing_but_a_simulation():
 def test_the_worker_writes_a_line_before_and_after_each_rule(monkeypatch):
     monkeypatch.setattr(check, "discover", lambda: fakes.fake_registry())
     out = io.StringIO()
-    check.run({"distribution": "rn-fakes", "offers": [("backend", "instant")], "options": {}}, out)
+    check.run(
+        {"distribution": "rn-fakes", "plugin": "rn-fakes", "offers": [("backend", "instant")], "options": {}}, out
+    )
     lines = [json.loads(line) for line in out.getvalue().splitlines()]
     begun, decided = lines[0::2], lines[1::2]
     assert [b["rule"] for b in begun] == [d["rule"] for d in decided]
@@ -93,7 +95,7 @@ def test_the_worker_reports_a_broken_case_under_every_rule(monkeypatch, shipped)
     broken = replace(shipped, name="odd", case="shipped_cases:wrong")
     monkeypatch.setattr(check, "discover", lambda: fakes.fake_registry(broken))
     out = io.StringIO()
-    check.run({"distribution": "rn-fakes", "offers": [("backend", "odd")], "options": {}}, out)
+    check.run({"distribution": "rn-fakes", "plugin": "rn-fakes", "offers": [("backend", "odd")], "options": {}}, out)
     lines = [json.loads(line) for line in out.getvalue().splitlines()]
     details = {x["detail"] for x in lines if x["subject"] == "backend odd" and "verdict" in x}
     assert len(details) == 1

@@ -15,7 +15,10 @@ FEATURE = FeatureSpec(
     name="wheels", summary="Counts wheels.", target="broken_features:Good", config="broken_features:Options"
 )
 COMMAND = CommandSpec(name="greet", summary="greet somebody", target="broken_features:GoodCommand")
-GOOD: dict[str, Case[Any]] = {"feature": FeatureCase(spec=FEATURE), "command": CommandCase(spec=COMMAND)}
+GOOD: dict[str, Case[Any]] = {
+    "feature": FeatureCase(spec=FEATURE, limits_s={"start": 2.0}),
+    "command": CommandCase(spec=COMMAND),
+}
 BROKEN = [
     ("feature", "feature/class", {"target": "broken_features:NoFeature"}),
     ("feature", "feature/constructor-pure", {"target": "broken_features:OpensFile"}),
@@ -26,10 +29,15 @@ BROKEN = [
     ("feature", "feature/tools-described", {"target": "broken_features:SaysNothing"}),
     ("feature", "feature/closes", {"target": "broken_features:LeavesThread"}),
     ("feature", "feature/closes", {"target": "broken_features:CloseNeedsStart"}),
+    ("feature", "feature/closes", {"target": "broken_features:StartsForEver"}),
+    ("feature", "feature/process-left-alone", {"target": "broken_features:Prints"}),
+    ("feature", "feature/process-left-alone", {"target": "broken_features:TakesSignals"}),
     ("feature", "feature/no-way-round-the-gate", {"target": "rn_gateless:Gateless"}),
     ("feature", "feature/no-way-round-the-gate", {"target": "rn_borrowed_writer:Borrower"}),
     ("command", "command/protocol", {"target": "broken_features:NoRun"}),
     ("command", "command/constructor-pure", {"target": "broken_features:RunsAProcess"}),
+    ("command", "command/configure-pure", {"target": "broken_features:ReadsForHelp"}),
+    ("command", "command/configure-pure", {"target": "broken_features:PrintsForHelp"}),
     ("command", "command/help", {"target": "broken_features:NoHelp"}),
     ("command", "command/light", {"target": "broken_heavy_command:Heavy"}),
 ]

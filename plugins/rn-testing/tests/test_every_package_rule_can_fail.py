@@ -10,12 +10,12 @@ import pytest
 
 from rn_testing import PackageCase, PackageContract, Verdict, verify
 from rn_testing.rules import RULES, package
+from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import BackendSpec, FeatureSpec
 from roboneuron.plugins.registry import Offer, Registry, Status
 
 PLUGIN = """
-from roboneuron.plugins.hookspecs import hookimpl
-from roboneuron.plugins.specs import BackendSpec
+from roboneuron import BackendSpec, hookimpl
 
 @hookimpl
 def roboneuron_backends():
@@ -75,7 +75,7 @@ def sample(tmp_path: Path) -> Sample:
     made.info.mkdir()
     (made.package / "__init__.py").write_text('"""A sample."""\n')
     (made.package / "plugin.py").write_text(PLUGIN)
-    (made.package / "policy.py").write_text("import numpy\nfrom roboneuron.contract import Observation\n")
+    (made.package / "policy.py").write_text("import numpy\nfrom roboneuron import Observation\n")
     (made.package / "py.typed").touch()
     (made.info / "licenses").mkdir()
     (made.info / "licenses" / "LICENSE").write_text("Permission is granted ...")
@@ -175,6 +175,22 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
             (s.package / "policy.py").write_text("from rn_testing.fakes import MemoryTopics\n"),
         ),
     ),
+    "unpickles": ("package/no-unsafe-calls", _write("policy.py", "import pickle\npickle.load(open('m', 'rb'))\n")),
+    "unpickles by another name": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "from pickle import loads as read\ndef load(b):\n    return read(b)\n"),
+    ),
+    "loads tensors with code": ("package/no-unsafe-calls", _write("policy.py", "import torch\ntorch.load('m.pt')\n")),
+    "loads arrays with code": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "import numpy as np\nnp.load('m.npy', allow_pickle=True)\n"),
+    ),
+    "runs text": ("package/no-unsafe-calls", _write("policy.py", "eval('1 + 1')\n")),
+    "runs a shell": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "import subprocess\nsubprocess.run('ls', shell=True)\n"),
+    ),
+    "runs YAML": ("package/no-unsafe-calls", _write("policy.py", "import yaml\nyaml.load('a: 1', yaml.Loader)\n")),
     "imports a sibling": ("package/siblings-declared", _write("policy.py", "import rn_other.network\n")),
 }
 
@@ -189,6 +205,21 @@ def test_a_broken_package_fails_its_rule(sample, site, fault):
     assert outcome.verdict is Verdict.FAILED, outcome
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import torch; torch.load('m.pt', weights_only=True)",
+        "import numpy as np; np.load('m.npy')",
+        "import yaml; yaml.load('a: 1', Loader=yaml.SafeLoader)",
+        "import subprocess; subprocess.run(['ls'], shell=False)",
+        "network.eval(); self.exec(); json.load(file)",
+    ],
+)
+def test_calls_that_only_look_unsafe_pass(tmp_path, line):
+    (tmp_path / "policy.py").write_text(line)
+    assert not list(unsafe_calls(tmp_path / "policy.py"))
+
+
 def test_every_package_rule_has_a_package_that_breaks_it():
     assert {rule for rule, _ in BROKEN.values()} == {rule.id for rule in RULES["package"]}
 
@@ -197,21 +228,23 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
     spec = BackendSpec(
         name="sample", summary="A sample.", target="rn_sample.policy:Sample", case="rn_sample.policy:make"
     )
-    offer = Offer(spec=spec, distribution="rn-sample", status=Status.READY)
+    offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
     monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.info / "METADATA").write_text(IN_AN_EXTRA)
     (sample.package / "policy.py").write_text("from rn_testing import BackendCase\n")
     assert {verify(r, sample.case()).verdict for r in RULES["package"]} == {Verdict.PASSED}
 
 
-def test_a_package_with_features_may_import_the_server(sample, monkeypatch):
+def test_a_package_with_features_may_import_what_features_may_use(sample, monkeypatch):
     spec = FeatureSpec(name="sample", summary="A sample.", target="rn_sample.policy:Sample")
-    offer = Offer(spec=spec, distribution="rn-sample", status=Status.READY)
+    offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
     monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
-    (sample.package / "policy.py").write_text("from roboneuron import Feature\nfrom roboneuron.server import events\n")
+    (sample.package / "policy.py").write_text("from roboneuron import Feature\nfrom roboneuron.feature import Config\n")
     rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
     assert verify(rule, sample.case()).verdict is Verdict.PASSED
-    (sample.package / "policy.py").write_text("from roboneuron.ros import node\n")
+    (sample.package / "policy.py").write_text("from roboneuron.server import events\n")
+    assert verify(rule, sample.case()).verdict is Verdict.FAILED
+    (sample.package / "policy.py").write_text("from roboneuron.feature import RosLink\n")
     assert verify(rule, sample.case()).verdict is Verdict.FAILED
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import tempfile
 from collections import Counter, defaultdict
 from dataclasses import replace
 from functools import cache
@@ -10,7 +13,10 @@ from typing import Any
 import mutants_backend
 import mutants_controllers
 import mutants_descriptors
+import mutants_devices
 import mutants_engines
+import mutants_models
+import mutants_processes
 import mutants_robots
 import mutants_sources
 import pytest
@@ -62,7 +68,17 @@ PATIENT = {"constructor": 60.0}
 """Bounds under which a mutant that computes comes to its end on a busy machine too [s]."""
 KINDS = {"driver": "robot", "descriptor": "backend"}
 """Kind of the rules whose ids begin otherwise."""
-MODULES = (mutants_backend, mutants_engines, mutants_sources, mutants_controllers, mutants_robots, mutants_descriptors)
+MODULES = (
+    mutants_backend,
+    mutants_controllers,
+    mutants_descriptors,
+    mutants_devices,
+    mutants_engines,
+    mutants_models,
+    mutants_processes,
+    mutants_robots,
+    mutants_sources,
+)
 MUTANTS: dict[str, Mutant] = {
     f"{module.__name__.removeprefix('mutants_')}:{name}": mutant
     for module in MODULES
@@ -95,6 +111,17 @@ def make_case(name: str) -> Case[Any]:
 def outcome_of_the_good(rule_id: str) -> Outcome:
     kind = kind_of(rule_id)
     return verify(next(rule for rule in RULES[kind] if rule.id == rule_id), GOOD[kind])
+
+
+@pytest.fixture(autouse=True)
+def _what_mutants_leave(tmp_path, monkeypatch):
+    """Files of mutants go to a folder of the test, and what they left open is closed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    yield
+    while mutants_processes.LEFT:
+        os.close(mutants_processes.LEFT.pop())
+    atexit.unregister(int)
 
 
 @pytest.mark.parametrize("name", MUTANTS)

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from rn_testing.new import PREFIXES, write_package
+from rn_testing.new import NEW_KINDS, PREFIXES, write_package
 from roboneuron.cli.main import main
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.specs import KINDS
 
 
 def install(project: Path, site: Path) -> None:
@@ -51,7 +50,7 @@ def run(words: list[str], project: Path, site: Path) -> subprocess.CompletedProc
     )
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("kind", NEW_KINDS)
 def test_a_new_plugin_passes_its_own_tests_and_the_check(kind, tmp_path):
     project, site = tmp_path / "project", tmp_path / "site"
     write_package(kind, "my-sample", project)
@@ -70,7 +69,7 @@ def test_a_new_plugin_passes_its_own_tests_and_the_check(kind, tmp_path):
     assert {r["subject"] for r in results} == {distribution, f"{kind} my-sample"}
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("kind", NEW_KINDS)
 def test_a_new_plugin_is_complete_and_holds_no_placeholder(kind, tmp_path):
     written = write_package(kind, "a1-b2", tmp_path / "x")
     package = f"rn_{PREFIXES[kind]}_a1_b2"
@@ -81,7 +80,7 @@ def test_a_new_plugin_is_complete_and_holds_no_placeholder(kind, tmp_path):
 
 
 def test_a_new_plugin_is_formatted_and_free_of_lint(tmp_path):
-    for kind in KINDS:
+    for kind in NEW_KINDS:
         write_package(kind, "my-sample", tmp_path / kind)
     for words in (["check"], ["format", "--check"]):
         done = subprocess.run(

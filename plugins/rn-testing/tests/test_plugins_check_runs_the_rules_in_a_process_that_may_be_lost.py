@@ -26,11 +26,10 @@ def only(site, monkeypatch):
     return site
 
 
-def test_options_are_toml_values_or_text():
-    parsed = plugin_check.parse_options(["gain=0.5", "path=/tmp/x", 'name="a b"', "sizes=[1, 2]", "on=true"])
-    assert parsed == {"gain": 0.5, "path": "/tmp/x", "name": "a b", "sizes": [1, 2], "on": True}
-    with pytest.raises(ConfigurationError, match="expected KEY=VALUE"):
-        plugin_check.parse_options(["gain"])
+def test_an_option_of_something_else_is_refused(only):
+    only.install("rn-good", GOOD)
+    with pytest.raises(ConfigurationError, match=r"names 'bad', which is not checked\. Checked: good"):
+        plugin_check.check(only.discover(), "rn-good", kind=None, options=["bad.gain=1"], timeout_s=60.0, as_json=True)
 
 
 def _worker(monkeypatch, tmp_path, body):

@@ -34,10 +34,10 @@ def test_a_slow_call_that_keeps_a_kilobyte_is_seen(calls):
 def test_a_bounded_history_is_no_leak(calls):
     kept: deque[bytes] = deque(maxlen=effects.MANY)
     effects.check_memory(lambda: slow_call(calls, kept), "predict")
-    assert len(calls) == effects.TRIES + 4 * effects.MANY
+    assert len(calls) <= effects.TRIES + effects.ROUNDS * effects.MANY
 
 
 def test_a_call_that_takes_long_is_made_as_often_as_asked_for(monkeypatch, calls):
     monkeypatch.setattr(effects, "ROUND_S", 0.0)
     effects.check_memory(lambda: slow_call(calls, deque(maxlen=1)), "predict", count=5)
-    assert len(calls) == effects.TRIES + 4 * 5
+    assert len(calls) == effects.TRIES + 2 * 5  # the first round that keeps nothing is the last

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from html import unescape
 from typing import Any
+from urllib.parse import quote
+from urllib.request import Request, urlopen
 
 import msgspec
 import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
 
+from rn_view.stop_bar import HEADER, HEADER_VALUE, STOP_PATH
 from roboneuron.supervisor.health import EXPLANATIONS
 
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -33,14 +38,29 @@ _HEAD_BYTES = 16
 """Of a message: its size and that of its compressed part, 8 bytes each. Source: viser 1.1, `_message_producer`."""
 
 
+def ask_stop(url: str, robot: str = "", **headers: str) -> str:
+    """What the button above the page does: a request; needs no page. Raises HTTPError when it is refused."""
+    path = f"{STOP_PATH}?robot={quote(robot)}" if robot else STOP_PATH
+    request = Request(url + path, headers={HEADER: HEADER_VALUE, **headers})
+    with urlopen(request, timeout=60) as answer:
+        return str(json.load(answer)["text"])
+
+
 class PageClient:
     """A page that is open from the beginning until `close`; fields are read from any thread."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, **headers: str) -> None:
         self.pictures = 0
         """Pictures of cameras that came after the blank ones."""
+        self._url = url
         self._elements: dict[str, dict[str, Any]] = {}
-        self._socket = connect(url.replace("http", "ws", 1), origin=url, subprotocols=[PROTOCOL], max_size=None)
+        self._socket = connect(
+            url.replace("http", "ws", 1),
+            origin=Origin(url),
+            subprotocols=[Subprotocol(PROTOCOL)],
+            additional_headers=headers,
+            max_size=None,
+        )
         self._socket.send(msgspec.msgpack.encode(CAMERA))
         self._reading = threading.Thread(target=self._read, daemon=True)
         self._reading.start()
@@ -49,6 +69,11 @@ class PageClient:
         """Leave."""
         self._socket.close()
         self._reading.join(10.0)
+
+    @property
+    def is_closed(self) -> bool:
+        """The server has ended the connection."""
+        return not self._reading.is_alive()
 
     @property
     def text(self) -> str:
@@ -62,9 +87,9 @@ class PageClient:
         found = re.search(rf'title="([^"]*)">[^<]*</span> <b>{kind}</b>', shown)
         return next((word for word, text in EXPLANATIONS.items() if found and text == found.group(1)), "")
 
-    def press(self, label: str) -> None:
-        """Press a button."""
-        self.choose(label, True)
+    def press_stop(self, robot: str = "") -> str:
+        """Press the emergency stop above the page, of one robot or of all; what it says then."""
+        return ask_stop(self._url, robot)
 
     def choose(self, label: str, value: object) -> None:
         """Give an element a value."""

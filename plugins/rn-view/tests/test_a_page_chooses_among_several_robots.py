@@ -1,12 +1,13 @@
-"""Of several robots a page shows the one that was chosen on it, and stops that one; other pages go on with theirs."""
+"""Of several robots a page shows the one that was chosen on it; each has a stop of its own, beside the one of all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from urllib.error import HTTPError
 
 import pytest
 from page_client import PageClient
-from view_fakes import FakeSource, admission
+from view_fakes import FakeOperator, FakeSource, admission
 from view_page import wait_until
 
 from rn_view.options import ViewOptions
@@ -15,7 +16,6 @@ from rn_view.viewer import Viewer
 
 pytestmark = pytest.mark.filterwarnings("default:Queued a:UserWarning")
 """viser says so when a page is closed while it is being filled."""
-STOP = "EMERGENCY STOP"
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def look(sources: dict[str, FakeSource]) -> Iterator[Callable[..., PageClient]]:
             viewers.append(Viewer(options, sources, admission(options, *tokens), None))
             viewers[0].open()
         pages.append(PageClient(viewers[0].url))
-        wait_until(lambda: STOP in pages[-1].labels)
+        wait_until(lambda: "Robot" in pages[-1].labels)
         return pages[-1]
 
     yield open_page
@@ -48,7 +48,7 @@ def look(sources: dict[str, FakeSource]) -> Iterator[Callable[..., PageClient]]:
         viewer.close()
 
 
-def test_a_page_shows_and_stops_the_robot_that_is_chosen_on_it(
+def test_a_page_shows_the_robot_that_is_chosen_on_it(
     look: Callable[..., PageClient], sources: dict[str, FakeSource]
 ) -> None:
     page, other = look(), look()
@@ -61,34 +61,57 @@ def test_a_page_shows_and_stops_the_robot_that_is_chosen_on_it(
     assert sources["right"].subscribed
     assert sources["left"].subscribed  # the other page shows it
 
-    page.press(STOP)
-    assert sources["right"].stopped.wait(60)
+    page.press_stop("right")
     assert not sources["left"].stops
     wait_until(lambda: "EMERGENCY STOP LATCHED" in page.text)
     assert "EMERGENCY STOP LATCHED" not in other.text
 
-    other.press(STOP)
-    assert sources["left"].stopped.wait(60)
     other.close()
     wait_until(lambda: not sources["left"].subscribed)
     page.choose("Robot", "left")
     wait_until(lambda: "the left one" in page.text and not sources["right"].subscribed)
 
 
-def test_a_page_without_a_token_stops_the_robot_that_is_chosen_on_it(
+def test_the_large_stop_is_of_all_robots_and_each_has_one(
     look: Callable[..., PageClient], sources: dict[str, FakeSource]
 ) -> None:
     page = look(("a-token-for-looking-1", "viewer"))
-    page.choose("Robot", "right")
-    page.press(STOP)
-    assert sources["right"].stopped.wait(60)
-    assert not sources["left"].stops
-    assert not sources["right"].subscribed
+    page.press_stop("right")
+    assert (len(sources["left"].stops), len(sources["right"].stops)) == (0, 1)
+    with pytest.raises(HTTPError, match="404"):
+        page.press_stop("nobody")
+    assert "left: Latched." in page.press_stop()
+    assert (len(sources["left"].stops), len(sources["right"].stops)) == (1, 2)
+    assert not sources["right"].subscribed  # a page without a token shows nothing else
+
+
+def test_a_robot_that_joins_is_on_the_page_of_the_others(operator: FakeOperator) -> None:
+    options = ViewOptions(enabled=True, port=0)
+    first, second = FakeSource(), FakeSource()
+    viewer = Viewer(options, {"left": first}, admission(options), operator)
+    viewer.open()
+    pages = [PageClient(viewer.url)]
+    try:
+        wait_until(lambda: "lift the" in pages[0].text)
+        assert "Robot" not in pages[0].labels
+        viewer.join("right", second, FakeOperator())
+        wait_until(lambda: pages[0].is_closed)
+        pages.append(PageClient(viewer.url))
+        wait_until(lambda: "Robot" in pages[1].labels and "lift the" in pages[1].text)
+        assert len(operator.open) == 1
+        pages[1].choose("Robot", "right")
+        wait_until(lambda: bool(second.subscribed) and not operator.open)
+        pages[1].press_stop()
+        assert first.stops
+        assert second.stops
+    finally:
+        for page in pages:
+            page.close()
+        viewer.close()
 
 
 def test_one_robot_leaves_no_choice(serve: Callable[..., Viewer]) -> None:
     page = PageClient(serve().url)
     wait_until(lambda: "lift the" in page.text)
-    assert STOP in page.labels
     assert "Robot" not in page.labels
     page.close()

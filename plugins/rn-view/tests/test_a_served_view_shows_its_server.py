@@ -11,7 +11,7 @@ from page_client import PageClient
 from view_page import wait_until
 from view_server import Call, attached_view, served_view
 
-from roboneuron.gate.estop import FILE_NAME
+from roboneuron.gate.estop import ESTOP_FILE
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 
@@ -40,13 +40,13 @@ def test_the_page_shows_the_state_and_its_stop_reaches_the_modules(tmp_path: Pat
         start_and_look(call, page)
         assert not call("get_status")["emergency_stop"]
 
-        page.press("EMERGENCY STOP")
+        page.press_stop()
         wait_until(lambda: "EMERGENCY STOP LATCHED" in page.text)
         wait_until(lambda: bool(module(call("get_status"), "robot")["emergency_stop"]))
         status = call("get_status")
         assert status["emergency_stop"]
         assert "pressed in the live view" in status["emergency_stop_cause"]
-        assert (tmp_path / "state" / FILE_NAME).exists()
+        assert (tmp_path / "state" / ESTOP_FILE).exists()
         wait_until(lambda: "latched" in page.text)  # the audit's line
 
         page.close()
@@ -62,7 +62,7 @@ def test_a_view_beside_the_server_shows_it_and_stops_it(tmp_path: Path) -> None:
         with attached_view(tmp_path) as url:
             page = PageClient(url)
             wait_until(lambda: page.health("robot") == "ok")
-            page.press("EMERGENCY STOP")
+            page.press_stop()
             wait_until(lambda: "EMERGENCY STOP LATCHED" in page.text)
             wait_until(lambda: bool(module(call("get_status"), "robot")["emergency_stop"]))
             assert "pressed in the attached view" in call("get_status")["emergency_stop_cause"]

@@ -7,7 +7,7 @@ import asyncio
 import anyio
 import pytest
 
-from rn_serve_http.plugin import FEATURE as HTTP
+from rn_standard.http.plugin import FEATURE as HTTP
 from rn_testing.fakes import fake_registry
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.plugin import FEATURE

@@ -6,12 +6,12 @@ from argparse import Namespace
 
 import pytest
 
-from rn_fleet.plugin import FEATURE as FLEET
+from rn_standard.fleet.plugin import FEATURE as FLEET
 from rn_testing.fakes import fake_registry
 from rn_view_attached.command import _chosen, _sources
 from roboneuron import ConfigurationError
 from roboneuron.config import parse_config
-from roboneuron.gate.estop import FILE_NAME
+from roboneuron.gate.estop import ESTOP_FILE
 
 TWO = '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.right]\nrobot = "gantry"\n'
 LIVE = {"run": None, "directory": None}
@@ -36,7 +36,7 @@ def test_each_stop_is_that_of_its_robot(tmp_path) -> None:
     robots = _chosen(parse_config(TWO, registry=fake_registry(FLEET)), None)
     sources, graph = _sources(Namespace(state=tmp_path, **LIVE), robots, fake_registry(FLEET))
     sources["right"].press_stop("a visitor")
-    assert (tmp_path / "robots" / "right" / FILE_NAME).exists()
+    assert (tmp_path / "robots" / "right" / ESTOP_FILE).exists()
     assert [source.snapshot().is_latched for source in sources.values()] == [False, True]
     assert graph.diagnostics is not None
 

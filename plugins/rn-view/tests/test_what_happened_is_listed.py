@@ -50,6 +50,24 @@ def test_a_refused_call_is_listed_with_its_reason():
     assert calls(ValueError("x"))[1].is_bad
 
 
+def test_of_tools_that_only_read_only_failures_are_listed():
+    def lines(**result):
+        happenings = Happenings()
+        context = SimpleNamespace(method="tools/call", params={"name": "get_status"})
+
+        async def run():
+            async def answer(_):
+                return result
+
+            await ToolCalls(happenings, lambda name: name == "get_status")(context, answer)
+
+        anyio.run(run)
+        return happenings.newest(9)
+
+    assert lines(isError=False) == []
+    assert [line.is_bad for line in lines(isError=True, content=[])] == [True]
+
+
 def test_what_a_client_is_told_is_listed():
     happenings = Happenings()
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_serve_http.options import HttpOptions
-from rn_serve_http.tokens import TokenTable
+from rn_standard.http.options import HttpOptions
+from rn_standard.http.tokens import TokenTable
 from rn_view.access import Admission, host_rules
 from rn_view.happenings import Happenings
 from rn_view.options import ViewOptions
@@ -98,6 +98,9 @@ class FakeSource:
     def snapshot(self) -> Snapshot:
         cause = self.stops[-1] if self.stops else ""
         return Snapshot(modules=self.modules, is_latched=bool(self.stops), cause=cause, instruction="lift the <cup>")
+
+    def is_latched(self) -> bool:
+        return bool(self.stops)
 
     def look(self) -> None:
         pass

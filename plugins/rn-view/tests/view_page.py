@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 PIXEL = """() => {
-  const found = [...document.querySelectorAll('img')].find(i => i.src.startsWith('blob:') || i.src.startsWith('data:'));
+  const found = [...document.querySelectorAll('img')].find(i => /^(blob:|data:image.jpeg)/.test(i.src));
   if (!found || !found.complete || !found.naturalWidth) return -1;
   const canvas = document.createElement('canvas');
   canvas.width = canvas.height = 1;

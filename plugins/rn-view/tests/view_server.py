@@ -14,7 +14,7 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 from view_page import wait_until
 
-from rn_console.client import spawned_server
+from rn_standard.console.client import spawned_server
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.site import PluginSite
 

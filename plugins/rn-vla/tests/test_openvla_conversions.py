@@ -123,6 +123,14 @@ def test_masked_values_pass_through_and_bounds_are_chosen():
         np.testing.assert_allclose(scaling.to_normalized(np.array([edge * 3, 0.5])), [1.0, 0.5])
 
 
+def test_masked_proprioception_is_clipped_as_in_the_public_code():
+    """`normalize_proprio` of OpenVLA-OFT clips what its mask passes through."""
+    statistics = VectorStatistics(min=(-4, -4), max=(4, 4), q01=(-2, -2), q99=(2, 2), mask=(True, False))
+    scaling = Scaling.of(statistics, "q99", 1e-8)
+    np.testing.assert_allclose(scaling.to_normalized(np.array([1.0, 3.0])), [0.5, 1.0], atol=1e-8)
+    np.testing.assert_allclose(scaling.to_normalized(np.array([-9.0, -1.5])), [-1.0, -1.0])
+
+
 def test_the_centre_crop_takes_the_middle_nine_tenths_of_the_area():
     ramp = np.tile(np.linspace(0, 255, 224).astype(np.uint8)[:, None, None], (1, 224, 3))
     cropped = Preprocessor(size=224, towers=(), steps=("center_crop_90",)).to_model_image(ramp)

@@ -18,7 +18,7 @@ def _spec(name: str, summary: str, target: str, config: str, case: str) -> Accel
         config=f"rn_accel_fastv.config:{config}",
         case=f"rn_accel_fastv.case:{case}",
         requires=(
-            Requirement(module="torch", install="pip install torch"),
+            Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
             Requirement(module="rn_runtime_torch", install="pip install ./plugins/rn-runtime-torch"),
         ),
         families=FAMILIES,

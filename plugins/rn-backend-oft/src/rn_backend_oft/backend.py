@@ -92,7 +92,7 @@ class OftBackend:
         )
         self._bins = action_bins(checkpoint)
         self._outside = OutsideCounter(self._bins, config.max_outside_share)
-        model = self._policy.model(config.max_prompt_tokens)
+        model = self._policy.model(config.max_prompt_tokens, self._encoder.shortest())
         self._visual_tokens = model.visual_tokens
         self._runtime.load(model, self._acceleration)
         self._loaded = True
@@ -190,7 +190,8 @@ class OftBackend:
             **reply.metrics,
         }
         played = actions[: self._config.execute]
-        return ActionChunk(actions=played, step_s=self._profile.step_s, metrics=metrics, note=note)
+        told = " ".join(filter(None, (note, reply.note)))
+        return ActionChunk(actions=played, step_s=self._profile.step_s, metrics=metrics, note=told)
 
     def _normalized_state(self, observation: Observation) -> F32 | None:
         state = read_state(

@@ -18,7 +18,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         config="rn_backend_oft.config:OftConfig",
         case=f"rn_backend_oft.case:{case}",
         requires=(
-            Requirement(module="torch", install="pip install torch"),
+            Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
             Requirement(module="tokenizers", install="pip install tokenizers"),
             Requirement(module="simplejpeg", install="pip install simplejpeg"),
             Requirement(module="rn_vla", install="pip install ./plugins/rn-vla"),

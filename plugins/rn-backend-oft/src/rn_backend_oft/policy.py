@@ -46,7 +46,7 @@ class OftPolicy:
     head: Literal["l1", "tokens"]
     proprio_width: int
 
-    def model(self, max_prompt_tokens: int) -> PolicyModel:
+    def model(self, max_prompt_tokens: int, min_prompt_tokens: int = 12) -> PolicyModel:
         """The checkpoint as any runtime of the family takes it.
 
         Raises:
@@ -67,6 +67,7 @@ class OftPolicy:
             shards=tuple(shards),
             visual_tokens=self.cameras * self.checkpoint.vision.towers[0].patches,
             max_prompt_tokens=max_prompt_tokens + self.constants.tokens + 1,
+            min_prompt_tokens=min_prompt_tokens,
             max_new_tokens=0,
             extra_tokens=1 if self.proprio_width else 0,
             example=functools.partial(self._example),

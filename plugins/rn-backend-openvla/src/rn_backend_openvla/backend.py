@@ -86,7 +86,12 @@ class OpenVlaBackend:
         )
         self._bins = action_bins(checkpoint)
         self._outside = OutsideCounter(self._bins, config.max_outside_share)
-        model = policy_model(checkpoint, action_width=ACTION_SIZE, max_prompt_tokens=config.max_prompt_tokens)
+        model = policy_model(
+            checkpoint,
+            action_width=ACTION_SIZE,
+            max_prompt_tokens=config.max_prompt_tokens,
+            min_prompt_tokens=self._encoder.shortest(),
+        )
         self._visual_tokens = model.visual_tokens
         self._runtime.load(model, self._acceleration)
         self._loaded = True
@@ -135,7 +140,8 @@ class OpenVlaBackend:
             **outside,
             **reply.metrics,
         }
-        return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics, note=note)
+        told = " ".join(filter(None, (note, reply.note)))
+        return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics, note=told)
 
     def reset(self) -> None:
         """Nothing is remembered between observations."""

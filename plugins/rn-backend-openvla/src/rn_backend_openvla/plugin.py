@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 
 _REQUIRES = (
-    Requirement(module="torch", install="pip install torch"),
+    Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
     Requirement(module="tokenizers", install="pip install tokenizers"),
     Requirement(module="simplejpeg", install="pip install simplejpeg"),
     Requirement(module="PIL", install="pip install pillow"),

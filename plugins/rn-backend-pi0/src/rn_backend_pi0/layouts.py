@@ -25,6 +25,7 @@ from rn_vla.checkpoint_files import (
     check_safetensors,
     check_schema,
     clip,
+    explain_families,
     list_names,
     read_json,
     read_schema,
@@ -74,7 +75,7 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Checkpoi
     if kind is not None and kind != "pi0":
         raise CheckpointError(
             f"{path} describes a {clip(repr(kind))} model, this backend runs 'pi0'.",
-            hint="Choose the backend of that family.",
+            hint=explain_families(kind),
         )
     if kind == "pi0":
         checkpoint = _lerobot(directory, check_schema(config, TypeAdapter(LerobotConfig), path))

@@ -124,14 +124,16 @@ def load_network(directory: Path, dims: Pi0Dims, *, device: torch.device, dtype:
             embedding = check_keys(shapes, dims)
             with torch.device("meta"):
                 network = Pi0Network(dims)
-            for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items():
-                shard, full = shards[key]
+            names = {key: name for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items()}
+            for key, (shard, full) in shards.items():
                 tensor = shard.get_tensor(full)
                 if not tensor.is_floating_point() or not bool(torch.isfinite(tensor).all()):
                     raise CheckpointError(
                         f"{directory}: {key!r} ({tensor.dtype}) holds values that are not finite numbers."
                     )
-                _assign(network, name, tensor.to(device=device, dtype=_dtype_of(name, dtype), copy=True))
+                if key in names:  # the others, such as the expert's head, are never read by inference
+                    name = names[key]
+                    _assign(network, name, tensor.to(device=device, dtype=_dtype_of(name, dtype), copy=True))
     except torch.OutOfMemoryError as error:
         raise ConfigurationError(
             f"{device} has not enough free memory for the weights in {directory}.",

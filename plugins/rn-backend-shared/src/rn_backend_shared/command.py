@@ -12,8 +12,8 @@ from roboneuron import ConfigurationError
 class SharedModel:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
 
-    Not needed: the first robot starts a server by itself. It is for a service manager, or a model that is to be loaded
-    before any robot starts; robots with the same [plugins.shared] use it.
+    Optional: the first robot starts a server by itself. Use it under a service manager, or to load the model before
+    any robot starts.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -27,8 +27,7 @@ class SharedModel:
         from rn_backend_shared.options import SharedOptions
         from rn_backend_shared.plugin import BACKEND
         from rn_backend_shared.server import serve
-        from roboneuron.config import load_config
-        from roboneuron.plugins.loading import load_options
+        from roboneuron.feature import load_config, load_options
 
         options = load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
         assert isinstance(options, SharedOptions)

@@ -190,10 +190,15 @@ class Links:
             return
 
         def start() -> None:
+            end_s = time.monotonic() + 2 * _AGAIN_S  # one that died soon after its start is not started at once
             try:
-                for path in self._paths:
-                    if not _is_served(path):
+                while not self._is_closed and time.monotonic() < end_s:
+                    gone = [path for path in self._paths if not _is_served(path)]
+                    for path in gone:
                         self._start(path)
+                    if not gone:
+                        return
+                    time.sleep(_POLL_S)
             except ConfigurationError as error:
                 log.error("%s", error)
 

@@ -17,8 +17,7 @@ from roboneuron import (
     RoboNeuronError,
     RuntimeSpec,
 )
-from roboneuron.modules.plugin import build
-from roboneuron.plugins.discovery import discover
+from roboneuron.feature import build, discover
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import logging
 import os
@@ -27,7 +28,13 @@ _SEND_S = 0.5
 _FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
-_BACKLOG = 128
+_BACKLOG = 1024
+_MOST_ROBOTS = 128
+"""Connections; each has a thread and two handles."""
+_FIRST_S = 5.0
+"""Whoever connects has this long for the first request."""
+_NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_NO_HANDLES_S = 1.0
 
 
 class ModelServer:
@@ -45,7 +52,7 @@ class ModelServer:
         self._idle_s = idle_s
         self._model = SharedModel(options)
         self._batcher: Batcher | None = None
-        self._robots: set[_Robot] = set()
+        self._robots: dict[_Robot, None] = {}
         self._end = threading.Event()
         self._state = LOADING
         self._failure: RoboNeuronError | None = None
@@ -88,7 +95,7 @@ class ModelServer:
             most=self._model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
-            clients=lambda: len(self._robots),
+            clients=lambda: sum(robot.has_asked for robot in list(self._robots)),
         )
         batcher.start()
         self._state = READY
@@ -96,7 +103,7 @@ class ModelServer:
         self._used_s = time.monotonic()
         while not self._end.wait(_LOOK_S):
             now_s = time.monotonic()
-            if self._robots:
+            if any(robot.has_asked for robot in list(self._robots)):
                 self._used_s = now_s
             elif self._idle_s is not None and now_s - self._used_s > self._idle_s:
                 log.info("No robot for %g s.", self._idle_s)
@@ -128,20 +135,36 @@ class ModelServer:
 
     def leave(self, robot: _Robot) -> None:
         """It is gone."""
-        self._robots.discard(robot)
+        self._robots.pop(robot, None)
 
     def _accept(self, listener: socket.socket) -> None:
+        """Take connections until the end; a robot that has asked nothing yet gives way when there are too many."""
         while not self._end.is_set():
             try:
                 connected, _ = listener.accept()
-            except OSError:
-                return
-            if peer_user(connected) != os.getuid():
-                connected.close()
+                channel = _channel_of(connected)
+            except OSError as error:
+                if error.errno not in _NO_HANDLES:
+                    return
+                log.error("A robot cannot connect: %s. Who has so many files open?", error.strerror)
+                self._drop_silent()
+                self._end.wait(_NO_HANDLES_S)  # the queue stays full until somebody closes something
                 continue
-            robot = _Robot(wire.Channel(connected), self)
-            self._robots.add(robot)
+            if peer_user(connected) != os.getuid() or (len(self._robots) >= _MOST_ROBOTS and not self._drop_silent()):
+                channel.close()
+                continue
+            robot = _Robot(channel, self)
+            self._robots[robot] = None
             threading.Thread(target=robot.serve, name="robot", daemon=True).start()
+
+    def _drop_silent(self) -> bool:
+        """Hang up on the oldest connection that has asked nothing yet; whether there was one."""
+        silent = next((robot for robot in list(self._robots) if not robot.has_asked), None)
+        if silent is None:
+            return False
+        self._robots.pop(silent, None)
+        silent.close()
+        return True
 
 
 class _Robot:
@@ -151,10 +174,14 @@ class _Robot:
         self._channel = channel
         self._server = server
         self._sending = threading.Lock()
+        self.has_asked = False
 
     def serve(self) -> None:
-        """Read what it asks until it is gone."""
+        """Read what it asks until it is gone; it has to begin soon."""
         try:
+            first = self._channel.receive(time.monotonic() + _FIRST_S)
+            self.has_asked = True
+            self._take(first)
             while True:
                 self._take(self._channel.receive(None))
         except OSError:
@@ -192,6 +219,15 @@ class _Robot:
     def close(self) -> None:
         """Hang up."""
         self._channel.close()
+
+
+def _channel_of(connected: socket.socket) -> wire.Channel:
+    """Raises OSError, with the connection closed, when no second handle is left for it."""
+    try:
+        return wire.Channel(connected)
+    except OSError:
+        connected.close()
+        raise
 
 
 def peer_user(connected: socket.socket) -> int:

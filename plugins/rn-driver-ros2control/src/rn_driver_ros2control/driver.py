@@ -104,7 +104,7 @@ class Ros2ControlDriver:
         link = self._opened()
         measured = link.joints()
         self._judge(link)
-        self._watch.check_fresh(measured)
+        self._watch.check_read(link, measured, self._fault)
         note = "not driven: option gripper is none" if self._options.gripper == "none" else link.gripper_note()
         told = {"mode": self._options.mode, "goal": self._goal_note, "fault": self._fault, "gripper": note}
         return self._watch.state(link, measured, told)
@@ -154,7 +154,8 @@ class Ros2ControlDriver:
             if self._options.gripper == "none":
                 names = tuple(name for name in names if name != gripper.joint)
             else:
-                self._fingers.move(link, wanted[gripper.joint])
+                finger = measured.get(gripper.joint)
+                self._fingers.move(link, wanted[gripper.joint], None if finger is None else finger.position)
         return replace(command, names=names, position=np.array([wanted[name] for name in names]), duration_s=sent_s)
 
     def hold(self) -> None:

@@ -10,18 +10,24 @@ _SAME_OPENING = 0.02
 
 
 class GripperGoals:
-    """Sends a goal when the wanted opening changes."""
+    """Sends a goal when the wanted opening changes.
+
+    To be where the fingers are is no goal as long as there was none: it would end the force on what they hold.
+    """
 
     def __init__(self, profile: GripperProfile | None) -> None:
         self._profile = profile
         self._opening: float | None = None
 
-    def move(self, link: ControllerLink, position: float) -> None:
-        """Go to `position` of the gripper's joint [rad or m], unless it was sent there already."""
+    def move(self, link: ControllerLink, position: float, measured: float | None = None) -> None:
+        """Go to `position` of the gripper's joint [rad or m], unless it was sent there or never left `measured`."""
         if self._profile is None:
             return
         opening = self._profile.to_opening(position)
-        if self._opening is not None:
+        if self._opening is None and measured is not None:
+            if abs(opening - self._profile.to_opening(measured)) <= _SAME_OPENING:
+                return
+        elif self._opening is not None:
             is_small = abs(opening - self._opening) <= _SAME_OPENING
             if opening == self._opening or (is_small and opening not in (0.0, 1.0)):
                 return

@@ -142,6 +142,6 @@ def connect(options: Ros2ControlOptions, joints: tuple[str, ...]) -> ControllerL
             raise
         raise MissingDependencyError(
             "The ROS 2 types of ros2_control are not installed (package control_msgs).",
-            hint="pip install ./plugins/rn-interfaces-control (in RoboNeuron's source folder) compiles them.",
+            hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) compiles them.",
         ) from error
     return RosLink(options, joints)

@@ -53,6 +53,10 @@ class StandInNode(Node):  # type: ignore[misc]
         self._done: Future | None = None
         self._finger_done: Future | None = None
         self._states = self.create_publisher(JointState, options.joint_states, 10)
+        finger_states = options.gripper_joint_states or options.joint_states
+        self._finger_states: Any = None  # none: the fingers stand among the arm's joints
+        if finger_states != options.joint_states:
+            self._finger_states = self.create_publisher(JointState, finger_states, 10)
         self._reports = self.create_publisher(JointTrajectoryControllerState, "~/controller_state", 10)
         self.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
         self.create_service(SetBool, "~/activate", self._on_activate)
@@ -154,6 +158,15 @@ class StandInNode(Node):  # type: ignore[misc]
         if abs(goal_m - self._finger_m) < 1e-6 and self._finger_done is not None and not self._finger_done.done():
             self._finger_done.set_result(True)
 
+    def _add_finger(self, state: JointState) -> None:
+        """Add the finger to `state`, or publish it on the topic of its own."""
+        own = state if self._finger_states is None else JointState(header=state.header)
+        own.name = [*own.name, self._finger]
+        own.position = [*own.position, float(self._finger_m)]
+        own.velocity = [*own.velocity, 0.0]
+        if self._finger_states is not None:
+            self._finger_states.publish(own)
+
     def _cycle(self) -> None:
         controller = self.controller
         verdict = controller.update(self._now_s())
@@ -164,13 +177,10 @@ class StandInNode(Node):  # type: ignore[misc]
         self._move_finger()
         stamp = self.get_clock().now().to_msg()
         names, position, velocity = list(controller.joints), controller.measured.tolist(), controller.measured_velocity
-        fingers = [self._finger] if self._finger else []
-        state = JointState(
-            name=[*names, *fingers],
-            position=[*position, *([float(self._finger_m)] if fingers else [])],
-            velocity=[*velocity.tolist(), *([0.0] if fingers else [])],
-        )
+        state = JointState(name=names, position=position, velocity=velocity.tolist())
         state.header.stamp = stamp
+        if self._finger:
+            self._add_finger(state)
         self._states.publish(state)
         if not controller.active:
             return
@@ -192,6 +202,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--joint-states", default="/joint_states")
     parser.add_argument("--gripper-joint", default="", help="name of a gripper joint; none when left out")
     parser.add_argument("--gripper-action", default="/gripper_controller/gripper_cmd")
+    parser.add_argument("--gripper-joint-states", default="", help="topic of that joint; the arm's when left out")
     parser.add_argument("--opening", type=float, default=0.04, help="position of the gripper joint at the start [m]")
     parser.add_argument("--object", type=float, default=0.0, help="where closing fingers meet something [m]")
     parser.add_argument("--path-tolerance", type=float, default=0.0, help="constraints.<joint>.trajectory")

@@ -77,6 +77,24 @@ class ControllerWatch:
                 hint="Look whether ros2_control and its joint_state_broadcaster run.",
             )
 
+    def check_read(self, link: ControllerLink, joints: Mapping[str, Measured], fault: str) -> None:
+        """As `check_fresh`; the error also tells what else is known: no state can be read that would."""
+        try:
+            self.check_fresh(joints)
+        except NotReadyError as error:
+            known = [error.message, f"The controller {self._options.controller} {self._heard(link)}."]
+            if fault:
+                known.append(f"Its fault: {fault}.")
+            raise NotReadyError(" ".join(known), hint=error.hint) from error
+
+    def _heard(self, link: ControllerLink) -> str:
+        report = link.report()
+        if not link.is_present():
+            return "has gone"
+        if report is None:
+            return "is not watched"
+        return f"last reported its state {time.monotonic() - report.received_s:.1f} s ago"
+
     def check_controller(self, link: ControllerLink) -> None:
         """Raise NotReadyError when the controller is absent or not active."""
         state = self.controller_state(link)
@@ -155,8 +173,9 @@ class ControllerWatch:
         return self._stamp_ns
 
     def _inactive(self) -> str:
+        name = self._options.controller
         return (
-            f"{self._options.controller} is there but not active: {self._options.controller}/controller_state is "
-            "silent. Activate it: `ros2 control switch_controllers --activate "
-            f"{self._options.controller.rpartition('/')[2]}`."
+            f"{name} is there but not active, or its process has just died: {name}/controller_state is silent. "
+            "Look at `ros2 control list_controllers`; activate it: `ros2 control switch_controllers --activate "
+            f"{name.rpartition('/')[2]}`."
         )

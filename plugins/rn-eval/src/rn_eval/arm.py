@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
 from roboneuron import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.gate.motion import MotionLimiter, inspector_of, motion_rules
-from roboneuron.modules.settings import FIRST_STEP_S, HOLD_DURATION_S, HOLD_SHARE, SHORTEST_STEP_S
+from roboneuron.feature import (
+    FIRST_STEP_S,
+    HOLD_DURATION_S,
+    HOLD_SHARE,
+    SHORTEST_STEP_S,
+    MotionLimiter,
+    inspector_of,
+    motion_rules,
+)
 
 F64 = NDArray[np.float64]
 

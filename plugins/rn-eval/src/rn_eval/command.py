@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Eval:
         add("--backend", default="servo", help="the policy (default: servo)")
         add("--checkpoint", help="folder of the model's files")
         add("--runtime", help="runtime; default: the backend's own")
-        add("--option", action="append", default=[], metavar="PLUGIN.NAME=VALUE", help="an option of any plugin")
+        add_option(parser, "the backend")
         add("--config", type=Path, help="a roboneuron.toml: limits, control and options of plugins hold")
         add("--threads", type=int, default=1, help="threads of each worker's numerical libraries (default: 1)")
 
@@ -79,7 +80,7 @@ class Eval:
         )  # fmt: skip
         add(
             "--latency", action="append", default=None, metavar="L",
-            help="what a prediction takes on the episode's clock: 0 (default), 112ms, lognormal:112ms,0.2, "
+            help="what a prediction takes on the episode's clock: 0 (default), 112ms, 0.112s, lognormal:112ms,0.2, "
             "normal:112ms,10ms, file:PATH or measured; may be given several times",
         )  # fmt: skip
         add("--episodes", type=int, default=50, help="of each variant (default: 50)")
@@ -95,6 +96,10 @@ class Eval:
         add("--policy-actors", type=int, default=0, help="share the policy of so many processes, in batches (Ray)")
         add("--policy-gpus", type=float, default=0.0, help="GPUs of each process that holds a policy (Ray)")
         add("--retry-errors", action="store_true", help="run episodes that crashed once more")
+        add(
+            "--other-versions", action="store_true",
+            help="go on although packages have other versions than when the run was begun",
+        )  # fmt: skip
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron eval`; status 1 when an episode crashed."""
@@ -127,7 +132,14 @@ def _run(arguments: Namespace) -> int:
     console = Console(highlight=False)
     directory: Path = arguments.directory if arguments.action == "resume" else arguments.out
     plan = _resumed(arguments) if arguments.action == "resume" else _planned(arguments)
-    records = evaluate(plan, directory, _pool(plan, arguments), console, retry_errors=arguments.retry_errors)
+    records = evaluate(
+        plan,
+        directory,
+        _pool(plan, arguments),
+        console,
+        retry_errors=arguments.retry_errors,
+        other_versions=arguments.other_versions,
+    )
     summary = write_report([directory], directory)
     print(grid(HEADINGS, [cells(row) for row in summary.rows]))
     print(f"\nreport: {directory / 'report.html'}")
@@ -163,7 +175,15 @@ def _resumed(arguments: Namespace) -> EvalPlan:
 
     plan = read_plan(arguments.directory)
     _limit_threads(plan.threads)
-    return plan
+    return _with_versions(plan)
+
+
+def _with_versions(plan: EvalPlan) -> EvalPlan:
+    """The plan with the versions that are installed now."""
+    from rn_eval.versions import installed_versions
+    from roboneuron.feature import discover
+
+    return plan.model_copy(update={"versions": installed_versions(plan, discover())})
 
 
 def _serve(arguments: Namespace) -> int:
@@ -181,7 +201,7 @@ def _serve(arguments: Namespace) -> int:
     from rn_eval.policy import load_backend
     from rn_eval.runner import refuse_early
     from roboneuron import BackendSpec
-    from roboneuron.plugins.discovery import discover
+    from roboneuron.feature import discover
 
     plan = EvalPlan(
         suite=arguments.suite, backend=arguments.backend, checkpoint=arguments.checkpoint, runtime=arguments.runtime,
@@ -207,14 +227,14 @@ def _serve(arguments: Namespace) -> int:
 
 def _config(arguments: Namespace) -> dict[str, Any]:
     """The configuration with the options of suite and command line in it."""
-    from roboneuron.config import load_config
+    from roboneuron.feature import load_config
 
     config = load_config(arguments.config).model_dump(mode="json")
     options: dict[str, Any] = config["plugins"]
-    asked = _of_plugins(_options_of_suite(arguments.suite)).get(arguments.backend, {})
+    asked = read_options(_options_of_suite(arguments.suite), arguments.backend).get(arguments.backend, {})
     if asked:
         options[arguments.backend] = {**asked, **options.get(arguments.backend, {})}
-    for plugin, given in _of_plugins(arguments.option).items():
+    for plugin, given in read_options(arguments.option, arguments.backend).items():
         options[plugin] = {**options.get(plugin, {}), **given}
     if config.get("control") is None:
         raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
@@ -224,11 +244,14 @@ def _config(arguments: Namespace) -> dict[str, Any]:
 def _planned(arguments: Namespace) -> EvalPlan:
     from pydantic import ValidationError
 
-    from rn_eval.plan import EvalPlan, fingerprint, installed_versions
+    from rn_eval.latency import check_unit
+    from rn_eval.plan import EvalPlan, fingerprint
 
     config = _config(arguments)
+    for latency in arguments.latency or ():
+        check_unit(latency)
     try:
-        return EvalPlan(
+        plan = EvalPlan(
             suite=arguments.suite,
             suite_options=_pairs(arguments.suite_option, "--suite-option NAME=VALUE"),
             backend=arguments.backend,
@@ -244,33 +267,22 @@ def _planned(arguments: Namespace) -> EvalPlan:
             shared_policy=arguments.policy_actors > 0,
             threads=arguments.threads,
             strips=arguments.strips,
-            versions=installed_versions(),
         )
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigurationError(
             f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}."
         ) from None
+    return _with_versions(plan)
 
 
 def _options_of_suite(suite: str) -> Sequence[str]:
     from rn_eval.hooks import SuiteSpec
-    from roboneuron.plugins.discovery import discover
+    from roboneuron.feature import discover
 
     spec = discover().get("suite", suite)
     assert isinstance(spec, SuiteSpec)
     return spec.options
-
-
-def _of_plugins(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Options by plugin, of PLUGIN.NAME=VALUE."""
-    found: dict[str, dict[str, Any]] = {}
-    for name, value in _pairs(texts, "--option PLUGIN.NAME=VALUE").items():
-        plugin, _, option = name.partition(".")
-        if not option:
-            raise ConfigurationError(f"--option {name} names no plugin, expected PLUGIN.NAME=VALUE.")
-        found.setdefault(plugin, {})[option] = value
-    return found
 
 
 def _pairs(texts: Sequence[str], form: str) -> dict[str, Any]:
@@ -307,7 +319,7 @@ def _report(arguments: Namespace) -> int:
 
 
 def _list_suites() -> int:
-    from roboneuron.plugins.discovery import discover
+    from roboneuron.feature import discover
 
     for name, spec in discover().specs("suite").items():
         print(f"{name}  {spec.summary}")

@@ -1,6 +1,6 @@
 """One episode by a clock of its own: simulated time passes in ticks, and a prediction takes as long as it is said to.
 
-Chunks are executed by the rules of the inference module (`rn_execution`); actions pass the controller
+Chunks are executed by the rules of the inference module (`rn_standard.execution`); actions pass the controller
 and the limits of the control module. Nothing here looks at the wall clock but the measurement of predictions.
 """
 
@@ -17,9 +17,9 @@ from rn_eval.latency import Draw
 from rn_eval.policy import Policy
 from rn_eval.record import Outcome
 from rn_eval.suite import Episode, Judgement, Scene
-from rn_execution.adaptive import AdaptiveExecutor
+from rn_standard.execution.adaptive import AdaptiveExecutor
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
-from roboneuron.modules.execution import Prediction
+from roboneuron.feature import Prediction
 
 WATCH_S = 0.1
 """Period of the control module's watchdog."""

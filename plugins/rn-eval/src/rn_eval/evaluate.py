@@ -18,11 +18,17 @@ from rn_eval.pools import Pool
 from rn_eval.progress import ProgressView
 from rn_eval.record import Record
 from rn_eval.runner import refuse_early
-from roboneuron.plugins.discovery import discover
+from roboneuron.feature import discover
 
 
 def evaluate(
-    plan: EvalPlan, directory: Path, pool: Callable[[], Pool], console: Console, *, retry_errors: bool = False
+    plan: EvalPlan,
+    directory: Path,
+    pool: Callable[[], Pool],
+    console: Console,
+    *,
+    retry_errors: bool = False,
+    other_versions: bool = False,
 ) -> list[Record]:
     """Run what is missing and return the records of the plan's episodes.
 
@@ -32,6 +38,7 @@ def evaluate(
         pool: makes the workers; called only when something is missing.
         console: for progress.
         retry_errors: run episodes that crashed once more.
+        other_versions: go on although packages have other versions than when the run was begun.
 
     Raises:
         RoboNeuronError: the plan does not fit, the ledger is another's, or a policy cannot be loaded.
@@ -39,7 +46,7 @@ def evaluate(
     refuse_early(plan)
     episodes = plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)
     jobs = list(plan.jobs(episodes))
-    with Ledger(directory) as ledger:
+    with Ledger(directory, other_versions=other_versions) as ledger:
         ledger.open(plan)
         if ledger.cut_bytes:
             console.print(f"A line that was cut short ({ledger.cut_bytes} bytes) is removed; its episode is run again.")

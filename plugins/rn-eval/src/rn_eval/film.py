@@ -6,11 +6,12 @@ import io
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 _MOST = 32
 _SHOWN = 6
-_HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 16, 3
+_HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 18, 3
+_FONT_PX, _GAP_PX = 12, 10
 _COLOURS = 256
 """Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey as the table."""
 
@@ -43,9 +44,14 @@ class Film:
         width = sum(i.width + _MARGIN_PX for i in images) - _MARGIN_PX
         sheet = Image.new("RGB", (width, _HEIGHT_PX + _CAPTION_PX), "white")
         draw, x = ImageDraw.Draw(sheet), 0
+        font = ImageFont.load_default(_FONT_PX)
         for (at_s, caption, _), image in zip(chosen, images, strict=True):
             sheet.paste(image, (x, 0))
-            draw.text((x + 2, _HEIGHT_PX + 2), f"{at_s:.1f} s {caption}"[: image.width // 6], fill="black")
+            time = f"{at_s:.1f} s"
+            draw.text((x + 2, _HEIGHT_PX + 2), time, fill="black", font=font)
+            at = 2 + draw.textlength(time, font) + _GAP_PX
+            if at + draw.textlength(caption, font) <= image.width:
+                draw.text((x + at, _HEIGHT_PX + 2), caption, fill="black", font=font)
             x += image.width + _MARGIN_PX
         buffer = io.BytesIO()
         sheet.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE).save(buffer, "PNG", optimize=True)

@@ -23,6 +23,7 @@ class SuiteSpec(Spec):
     """
 
     kind: ClassVar[str] = "suite"
+    rules: ClassVar[str] = "rn_eval.contract_cases:KIND"
 
     robot: str = ""
     driver: str = "simulated"

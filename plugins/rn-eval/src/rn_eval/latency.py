@@ -15,15 +15,17 @@ MEASURED = "measured"
 Draw = Callable[[float], float]
 """From the measured duration of a prediction [s] to the one that counts [s]."""
 _TIME = r"(\d+(?:\.\d+)?)(ms|s)?"
-_FORMS = "0, 112ms, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the logarithm), file:PATH, measured"
+_FORMS = (
+    "0, 112ms, 0.112s, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the logarithm), file:PATH, measured"
+)
 
 
 def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
     """Return what makes an episode's draws from its random generator.
 
     Args:
-        text: one of the forms above; a plain number is in seconds. `file:PATH` holds one latency [s] a line and is
-            drawn from with replacement.
+        text: one of the forms above; a number without a unit, as old ledgers have it, is in seconds. `file:PATH` holds
+            one latency [s] a line and is drawn from with replacement.
 
     Raises:
         ConfigurationError: not one of these forms.
@@ -43,6 +45,30 @@ def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
         return lambda random: lambda _: middle_s * math.exp(sigma * random.standard_normal())
     constant_s = _seconds(text, text)
     return lambda random: lambda _: constant_s
+
+
+def check_unit(text: str) -> None:
+    """Refuse a time other than 0 whose unit nobody has said: 112 may be meant as milliseconds, or as seconds.
+
+    Raises:
+        ConfigurationError: there is one, or the form is not understood.
+    """
+    parse_latency(text)
+    kind, _, rest = text.partition(":")
+    middle, _, spread = rest.partition(",")
+    times = {"normal": (middle, spread), "lognormal": (middle,), "file": (), MEASURED: ()}.get(kind, (text,))
+    for value in times:
+        found = re.fullmatch(_TIME, value.strip())
+        if found is not None and not found[2] and float(found[1]) != 0:
+            number = found[1]
+            raise ConfigurationError(
+                f"--latency {text}: {number} has no unit.", hint=f"Say {number}ms or {number}s; without one only 0 is."
+            )
+    if kind == "lognormal" and spread.strip().endswith("s"):
+        raise ConfigurationError(
+            f"--latency {text}: {spread} has a unit, but the deviation of a logarithm has none.",
+            hint="Say lognormal:112ms,0.2 for a median of 112 ms that varies by about a fifth.",
+        )
 
 
 def _seconds(value: str, text: str) -> float:

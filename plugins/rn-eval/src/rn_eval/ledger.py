@@ -5,9 +5,12 @@ A line that was cut short by a crash is removed when the ledger is opened again,
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -15,6 +18,7 @@ from pydantic import ValidationError
 
 from rn_eval.plan import EvalPlan, Key
 from rn_eval.record import Record
+from rn_eval.versions import changed_versions
 from roboneuron import ConfigurationError, StateError
 
 FILE_NAME = "episodes.jsonl"
@@ -65,8 +69,15 @@ def read_records(directory: Path) -> list[Record]:
 class Ledger:
     """The ledger of one run, held by one process at a time. Use it as a context manager."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
+        """Args:
+        directory: its folder.
+        other_versions: packages may have other versions than when the run was begun; the plan and each line say so.
+        """
         self.directory = directory
+        self.plan: EvalPlan | None = None
+        """What the folder says once it is open: with the versions that the run was begun with."""
+        self._other_versions = other_versions
         self.records: dict[Key, Record] = {}
         self.cut_bytes = 0
         self._file = -1
@@ -75,11 +86,13 @@ class Ledger:
         """Begin the run or continue it.
 
         Raises:
-            StateError: another process runs it.
-            ConfigurationError: the folder holds a run with another plan, or the ledger is damaged.
+            StateError: another process runs it, or the folder cannot be written.
+            ConfigurationError: the folder holds a run with another plan or of other versions, or the ledger is damaged.
         """
-        self.directory.mkdir(parents=True, exist_ok=True)
-        file = os.open(self.directory / FILE_NAME, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        path = self.directory / FILE_NAME
+        with _told(path):
+            self.directory.mkdir(parents=True, exist_ok=True)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -94,15 +107,36 @@ class Ledger:
 
     def _continue(self, plan: EvalPlan) -> None:
         if (self.directory / PLAN_NAME).exists():
-            _check_same(read_plan(self.directory), plan, self.directory)
+            before = read_plan(self.directory)
+            _check_same(before, plan, self.directory)
+            plan = self._with_versions(before, plan)
         _write_durably(self.directory / PLAN_NAME, plan.model_dump_json(indent=1).encode())
+        self.plan = plan
         self.records = {record.key: record for record in read_records(self.directory)}
         data = (self.directory / FILE_NAME).read_bytes()
         whole = data.rfind(b"\n") + 1
         self.cut_bytes = len(data) - whole
         if self.cut_bytes:
-            os.ftruncate(self._file, whole)
-            os.fsync(self._file)
+            with _told(self.directory / FILE_NAME):
+                os.ftruncate(self._file, whole)
+                os.fsync(self._file)
+
+    def _with_versions(self, before: EvalPlan, now: EvalPlan) -> EvalPlan:
+        """The plan with the versions that the run was begun with, and these among the later ones if they differ.
+
+        Raises:
+            ConfigurationError: they differ, and nobody said that they may.
+        """
+        begun, later = before.versions, before.later_versions
+        changed = changed_versions(begun, now.versions)
+        if changed and not self._other_versions:
+            raise ConfigurationError(
+                f"{self.directory} was begun under other versions: {', '.join(changed)}.",
+                hint="Install those, choose another --out, or mix them with --other-versions: each line has its own.",
+            )
+        if changed and now.versions not in later:
+            later = (*later, now.versions)
+        return now.model_copy(update={"versions": {**now.versions, **begun}, "later_versions": later})
 
     def __enter__(self) -> Ledger:
         return self
@@ -116,25 +150,35 @@ class Ledger:
         """Put an episode on disk; when this returns it survives a crash of the machine.
 
         Raises:
-            StateError: it is there already, and did not crash.
+            StateError: it is there already and did not crash, or it cannot be written; the ledger is as it was then.
+            ConfigurationError: a worker has run it under other versions than the run was begun with.
         """
+        assert self.plan is not None
         before = self.records.get(record.key)
         if before is not None and before.outcome.status != "error":
             raise StateError(f"The episode {record.key.slug} is in the ledger already.")
+        changed = changed_versions(self.plan.versions, record.versions)
+        if changed and not self._other_versions:
+            raise ConfigurationError(
+                f"The worker on {record.host} has other versions than the run was begun with: {', '.join(changed)}.",
+                hint="Install the same packages on every machine, or mix them with --other-versions.",
+            )
         if strip is not None:
             name = f"{record.key.slug}.png"
-            (self.directory / STRIPS).mkdir(exist_ok=True)
+            with _told(self.directory / STRIPS):
+                (self.directory / STRIPS).mkdir(exist_ok=True)
             _write_durably(self.directory / STRIPS / name, strip)
             record = record.model_copy(update={"strip": name})
         line = record.model_dump_json().encode() + b"\n"
         begun = os.fstat(self._file).st_size
-        try:
-            if os.write(self._file, line) != len(line):
-                raise OSError("a line was written in part only; is the disk full?")
-            os.fsync(self._file)
-        except OSError:
-            os.ftruncate(self._file, begun)
-            raise
+        with _told(self.directory / FILE_NAME):
+            try:
+                if os.write(self._file, line) != len(line):
+                    raise OSError(errno.ENOSPC, "only a part of the line was written; the disk is full")
+                os.fsync(self._file)
+            except OSError:
+                os.ftruncate(self._file, begun)
+                raise
         self.records[record.key] = record
 
     def close(self) -> None:
@@ -157,15 +201,34 @@ def _check_same(old: EvalPlan, new: EvalPlan, directory: Path) -> None:
 
 
 def _write_durably(path: Path, data: bytes) -> None:
-    """Replace the file in one step, so that a crash leaves the old or the new one."""
+    """Replace the file in one step, so that a crash or a full disk leaves the old or the new one. Raises StateError."""
     temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
+    with _told(path):
+        try:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except OSError:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn a failure to write into one sentence that names the file and says what to do. Raises StateError."""
     try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+        yield
+    except OSError as error:
+        raise StateError(
+            f"{path} cannot be written: {error.strerror or error}.",
+            hint="Free space on that disk or mend the permissions. Finished episodes are kept; the same command "
+            "runs the others.",
+        ) from error

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,14 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Episode, Suite
 from roboneuron import ConfigurationError
-from roboneuron.config import Config
-from roboneuron.modules.plugin import build
-from roboneuron.planning import Plan, check_plan
-from roboneuron.plugins.registry import Offer, Registry, Status
+from roboneuron.feature import Config, Offer, Plan, Registry, Status, build, check_plan
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536
-PACKAGES = ("roboneuron-core", "rn-eval", "numpy", "torch", "pybullet", "mujoco", "ray")
 
 
 class Variant(NamedTuple):
@@ -84,7 +79,8 @@ class EvalPlan(BaseModel):
         shared_policy: predictions come in batches of what is asked at the same time, so that an episode does not repeat
             bit for bit.
         threads: threads of each worker's numerical libraries; results of some depend on it.
-        versions: of the packages when the run began.
+        versions: of the packages when the run began; see `rn_eval.versions`.
+        later_versions: others under which it was continued, with --other-versions, oldest first.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -105,11 +101,12 @@ class EvalPlan(BaseModel):
     threads: int = Field(default=1, ge=1)
     strips: Literal["failures", "all", "none"] = "failures"
     versions: dict[str, str] = Field(default_factory=dict)
+    later_versions: tuple[dict[str, str], ...] = ()
 
     @property
     def identity(self) -> dict[str, Any]:
         """What must be equal for a ledger to be continued; more episodes and variants may be added."""
-        growing = {"presets", "executions", "latencies", "episodes", "versions", "strips"}
+        growing = {"presets", "executions", "latencies", "episodes", "versions", "later_versions", "strips"}
         return self.model_dump(mode="json", exclude=growing)
 
     @property
@@ -164,19 +161,8 @@ def with_body(registry: Registry, spec: SuiteSpec) -> Registry:
     """What is installed, and the robot that exists in the suite's simulation alone."""
     if spec.body is None:
         return registry
-    body = Offer(spec=spec.body, distribution="", status=Status.READY)
+    body = Offer(spec=spec.body, plugin="", distribution="", status=Status.READY)
     return replace(registry, all_offers=(*registry.all_offers, body))
-
-
-def installed_versions() -> dict[str, str]:
-    """Version by package, of those that are installed."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def fingerprint(checkpoint: str | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from itertools import cycle
 from typing import Any
 
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -15,6 +16,9 @@ from rn_eval.statistics import Proportion
 from rn_eval.summary import Row, Summary
 
 _SIZE = (6.4, 3.6)
+_MARKERS = "os^DvPX<>*"
+_LEVEL_LETTERS = 60
+"""More of them below the bars would run into each other."""
 
 
 def plots(summary: Summary) -> list[tuple[str, str]]:
@@ -75,12 +79,9 @@ def _bars(axes: Any, rows: Sequence[Row]) -> None:
     shares = [row.success for row in rows]
     axes.bar(range(len(rows)), _points(shares), color="#5a7fb5", width=0.6)
     axes.errorbar(range(len(rows)), _points(shares), yerr=_whiskers(shares), fmt="none", ecolor="black", capsize=4)
-    axes.set_xticks(
-        range(len(rows)),
-        [row.name for row in rows],
-        rotation=25 if len(rows) > 4 else 0,
-        ha="right" if len(rows) > 4 else "center",
-    )
+    names = [row.name for row in rows]
+    is_level = len(rows) <= 4 and sum(len(name) + 2 for name in names) <= _LEVEL_LETTERS
+    axes.set_xticks(range(len(rows)), names, rotation=0 if is_level else 25, ha="center" if is_level else "right")
     _percent(axes)
 
 
@@ -118,12 +119,14 @@ def _latency_ms(row: Row) -> float:
 
 
 def _speed(axes: Any, rows: Sequence[Row]) -> None:
-    shares = [row.success for row in rows]
-    speeds = [row.speed_up for row in rows]
-    axes.errorbar(speeds, _points(shares), yerr=_whiskers(shares), fmt="o", capsize=4)
-    for row, speed in zip(rows, speeds, strict=True):
-        axes.annotate(row.name, (speed, 100 * row.success.share), textcoords="offset points", xytext=(6, 4))
-    known = [speed for speed in speeds if speed is not None]
+    """Names stand in the legend: presets are often equally fast and equally good, and labels would cover each other."""
+    for row, marker in zip(rows, cycle(_MARKERS)):
+        share = [row.success]
+        axes.errorbar(
+            [row.speed_up], _points(share), yerr=_whiskers(share), fmt=marker, capsize=4, label=row.name, alpha=0.8
+        )
+    _legend(axes)
+    known = [row.speed_up for row in rows if row.speed_up is not None]
     axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)  # a percent is not to look like much
     axes.set_xlabel("speed-up of a prediction")
     _percent(axes)

@@ -19,6 +19,7 @@ CUBES = SuiteSpec(
     target="rn_eval.cubes:Cubes",
     config="rn_eval.cubes:CubesOptions",
     robot="fr3",
+    case="rn_eval.contract_cases:cubes_case",
 )
 
 

@@ -7,8 +7,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from rn_eval.plan import EvalPlan
 from roboneuron import ActionChunk, Backend, Observation
-from roboneuron.modules.plugin import build
-from roboneuron.plugins.registry import Registry
+from roboneuron.feature import Registry, build
 
 
 class Policy(Protocol):

@@ -69,6 +69,7 @@ class Record(BaseModel):
         outcome, measured: see there.
         strip: name of the film strip in the folder `strips`; "" without one.
         host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
+        versions: of the packages in the process that ran it; see `rn_eval.versions`. Empty in old ledgers.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -81,3 +82,4 @@ class Record(BaseModel):
     host: str = ""
     pid: int = 0
     ended_at: str = ""
+    versions: dict[str, str] = Field(default_factory=dict)

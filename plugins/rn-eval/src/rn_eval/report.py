@@ -60,8 +60,17 @@ def _about(plans: Sequence[EvalPlan], records: Sequence[Record]) -> list[tuple[s
         ("seeds", each([f"{plan.first_seed} .. {plan.first_seed + plan.episodes - 1}" for plan in plans])),
         ("finished", f"{len(records)} episodes{from_to}"),
         ("hosts", each([record.host for record in records])),
-        ("versions", each([f"{name} {v}" for plan in plans for name, v in plan.versions.items()])),
+        ("versions", _versions(plans)),
     ]  # fmt: skip
+
+
+def _versions(plans: Sequence[EvalPlan]) -> str:
+    """Each package with every version that had a part in the runs, those that they were begun with first."""
+    found: dict[str, list[str]] = {}
+    for versions in (each for plan in plans for each in (plan.versions, *plan.later_versions)):
+        for name, version in versions.items():
+            found.setdefault(name, []).append(version)
+    return ", ".join(f"{name} {' and '.join(dict.fromkeys(seen))}" for name, seen in found.items())
 
 
 def _minute(ended_at: str) -> str:

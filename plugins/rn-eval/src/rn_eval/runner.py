@@ -20,13 +20,11 @@ from rn_eval.plan import EvalPlan, Job, with_body
 from rn_eval.policy import Policy, load_backend
 from rn_eval.record import Measured, Outcome, Record
 from rn_eval.suite import Setup
-from rn_execution.adaptive import AdaptiveExecutor
-from rn_execution.mode import Mode, abilities_of
+from rn_eval.versions import installed_versions
+from rn_standard.execution.adaptive import AdaptiveExecutor
+from rn_standard.execution.mode import Mode, abilities_of
 from roboneuron import BackendSpec, Controller, RoboNeuronError
-from roboneuron.gate.motion import collision_of
-from roboneuron.modules.execution import Bounds
-from roboneuron.modules.plugin import build, load_profile
-from roboneuron.plugins.discovery import discover
+from roboneuron.feature import Bounds, build, collision_of, discover, load_profile
 
 _DEFAULT_IMAGE_AGE_S = 0.5
 _ERROR_LINES = 6
@@ -48,6 +46,7 @@ class Runner:
         self._preset: str | None = None
         self._policy: Policy | None = None
         self._is_cold = True
+        self._versions = installed_versions(plan, self._registry)
         self._setup, self._spec = self._prepare()
 
     def _prepare(self) -> tuple[Setup, BackendSpec]:
@@ -99,6 +98,7 @@ class Runner:
             host=platform.node(),
             pid=os.getpid(),
             ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            versions=self._versions,
         )
         return record, strip
 

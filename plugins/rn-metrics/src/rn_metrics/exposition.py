@@ -1,15 +1,35 @@
-"""The endpoint of a process: the metrics of one robot as they are, those of several with the label `robot`."""
+"""The endpoint of a process: the metrics of its robots, each with the label `robot`."""
 
 from __future__ import annotations
 
+import asyncio
+import ipaddress
+import socket
 import threading
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
 from prometheus_client.core import Metric
+from prometheus_client.exposition import choose_encoder
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-_JOIN_S = 2.0
+from rn_standard.http.addresses import bind
+from rn_standard.http.bounded_server import BoundedServer
+from rn_standard.http.connections import ConnectionTable
+from rn_standard.http.listener import BoundedListener, other_bounds
+from rn_standard.http.origins import HostRules
+from rn_standard.http.tokens import TokenTable
+from roboneuron import NotReadyError
+
+PATH = "/metrics"
+_BEGIN_S = 20.0
+_JOIN_S = 5.0
+_CONNECTIONS = 32
+_CLOSE = {"Connection": "close"}
+"""A scrape is one request; a connection that is kept would only take a place."""
 
 
 class Exposition:
@@ -22,31 +42,44 @@ class Exposition:
     _in_use: ClassVar[dict[tuple[str, int], Exposition]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
-    def __init__(self, host: str, port: int) -> None:
-        """Listen. Raises OSError when the address cannot be used."""
+    def __init__(self, host: str, port: int, rules: HostRules, tokens: TokenTable) -> None:
+        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when it takes too long."""
         self._address = (host, port)
+        self._rules = rules
+        self._tokens = tokens
         self._robots: dict[str, CollectorRegistry] = {}
-        own = CollectorRegistry()
-        own.register(self)
-        self._server, self._thread = start_http_server(port, host, registry=own)
-        self.port: int = self._server.server_port
+        bound = bind("metrics", host, port, tokens)
+        self.port: int = bound.getsockname()[1]
+        self._is_open = ipaddress.ip_address(bound.getsockname()[0].partition("%")[0]).is_loopback
+        self._own = CollectorRegistry()
+        self._own.register(self)
+        self._server = _Server(self._answer, ConnectionTable())
+        self._thread = threading.Thread(target=self._serve, args=(bound,), name="metrics-port", daemon=True)
+        self._thread.start()
+        if not self._server.has_begun.wait(_BEGIN_S):
+            self._server.should_exit = True
+            raise NotReadyError(f"The metrics of {host}:{self.port} were not served within {_BEGIN_S:g} s.")
 
     @classmethod
-    def join(cls, host: str, port: int, robot: str, registry: CollectorRegistry) -> Exposition:
+    def join(
+        cls, host: str, port: int, robot: str, registry: CollectorRegistry, rules: HostRules, tokens: TokenTable
+    ) -> Exposition:
         """Serve the metrics of a robot at an address, beside those of others there.
 
         Args:
             host, port: as configured; robots with port 0 share a free one.
             robot: its namespace.
             registry: its metrics.
+            rules: hosts by which this machine may be called.
+            tokens: needed where the address is not loopback.
 
         Raises:
-            OSError: the address cannot be used.
+            ConfigurationError: the address cannot be used, or needs a token.
         """
         with cls._lock:
             found = cls._in_use.get((host, port))
             if found is None:
-                found = cls._in_use[host, port] = cls(host, port)
+                found = cls._in_use[host, port] = cls(host, port, rules, tokens)
             found._robots = {**found._robots, robot: registry}  # a scrape may be reading the one before
             return found
 
@@ -57,17 +90,55 @@ class Exposition:
             if self._robots or self._in_use.get(self._address) is not self:
                 return
             del self._in_use[self._address]
-        self._server.shutdown()
-        self._server.server_close()
+        self._server.should_exit = True
         self._thread.join(_JOIN_S)
 
     def collect(self) -> Iterator[Metric]:
-        """See prometheus_client; on the thread of a scrape."""
-        robots = self._robots
+        """See prometheus_client; on the thread of the endpoint."""
         families: dict[str, Metric] = {}
-        for robot, registry in robots.items():
-            label: dict[str, Any] = {"robot": robot} if len(robots) > 1 else {}
+        for robot, registry in self._robots.items():
             for metric in registry.collect():
                 family = families.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
-                family.samples += [sample._replace(labels={**label, **sample.labels}) for sample in metric.samples]
+                family.samples += [
+                    sample._replace(labels={"robot": robot, **sample.labels}) for sample in metric.samples
+                ]
         yield from families.values()
+
+    def _serve(self, bound: socket.socket) -> None:
+        with BoundedListener(bound, other_bounds(_CONNECTIONS)) as listener:
+            asyncio.run(self._server.serve(sockets=[listener]))
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self._response(scope)(scope, receive, send)
+
+    def _response(self, scope: Scope) -> Response:
+        headers = Headers(scope=scope)
+        if not self._rules.allows_host(headers.getlist("host")):
+            return PlainTextResponse("Invalid Host header\n", 421, _CLOSE)
+        if scope["path"] != PATH:
+            return PlainTextResponse(f"Metrics are at {PATH}\n", 404, _CLOSE)
+        if scope["method"] != "GET":
+            return PlainTextResponse("Use GET\n", 405, {"Allow": "GET", **_CLOSE})
+        if not self._is_open and not self._has_token(headers):
+            return PlainTextResponse(
+                "A valid bearer token of [[http.tokens]] is needed.\n", 401, {"WWW-Authenticate": "Bearer", **_CLOSE}
+            )
+        encode, content_type = choose_encoder(headers.get("accept", ""))
+        return Response(encode(self._own), headers={"Content-Type": content_type, **_CLOSE})
+
+    def _has_token(self, headers: Headers) -> bool:
+        found = headers.getlist("authorization")
+        scheme, _, token = found[0].partition(" ") if len(found) == 1 else ("", "", "")
+        return scheme.lower() == "bearer" and self._tokens.find(token.strip()) is not None
+
+
+class _Server(BoundedServer):
+    """Says when it serves."""
+
+    def __init__(self, app: ASGIApp, connections: ConnectionTable) -> None:
+        super().__init__(app, connections)
+        self.has_begun = threading.Event()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.has_begun.set()

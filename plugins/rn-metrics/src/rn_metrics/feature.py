@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from rn_metrics.options import MetricsOptions
-from roboneuron import ConfigurationError, Feature, Host, Tool
-from roboneuron.config import Config
-from roboneuron.supervisor.changes import Periodic
+from rn_standard.http.addresses import bind
+from rn_standard.http.feature import HttpFeature
+from rn_standard.http.options import HttpOptions
+from rn_standard.http.origins import HostRules
+from rn_standard.http.plugin import FEATURE as HTTP
+from rn_standard.http.tokens import TokenFiles, read_tokens
+from roboneuron import Feature, Host, Tool
+from roboneuron.feature import Config, Periodic, feature_options
 
 if TYPE_CHECKING:
     from rn_metrics.exposition import Exposition
@@ -33,7 +39,11 @@ class MetricsFeature(Feature[MetricsOptions]):
     _looking: Periodic | None = None
 
     def check(self, config: Config) -> None:
-        """Check that the exporter is there when traces are to be sent."""
+        """Check address and tokens when metrics are to be served, and the exporter when traces are to be sent."""
+        if self.options.prometheus:
+            http = cast(HttpOptions, feature_options(HTTP, config))
+            host_rules(self.options.host, http)
+            bind("metrics", self.options.host, 0, read_tokens(http.tokens, os.environ)).close()
         if self.options.traces:
             from rn_metrics.spans import otlp_exporter  # heavy
 
@@ -61,20 +71,22 @@ class MetricsFeature(Feature[MetricsOptions]):
         """Serve the metrics, those of several robots at one address.
 
         Raises:
-            ConfigurationError: the address cannot be used.
+            ConfigurationError: the address cannot be used, or can be reached from elsewhere without a token.
         """
         if self.meters is None:
             return
         from rn_metrics.exposition import Exposition  # heavy
 
         self._robot = host.config.namespace
-        try:
-            self._exposition = Exposition.join(self.options.host, self.options.port, self._robot, self.meters.registry)
-        except OSError as error:
-            raise ConfigurationError(
-                f"[metrics] {self.options.host}:{self.options.port} cannot be used: {error.strerror or error}.",
-                hint="Choose another `port`.",
-            ) from error
+        http = host.feature("http", HttpFeature).options
+        self._exposition = Exposition.join(
+            self.options.host,
+            self.options.port,
+            self._robot,
+            self.meters.registry,
+            host_rules(self.options.host, http),
+            TokenFiles(http.tokens, os.environ),
+        )
         self.port = self._exposition.port
         log.info("Metrics are at http://%s:%d/metrics.", self.options.host, self.port)
         self._looking = Periodic("metrics", _LOOK_S, self.meters.look)
@@ -90,3 +102,8 @@ class MetricsFeature(Feature[MetricsOptions]):
         if self.spans is not None:
             self.spans.close()
             self.spans = None
+
+
+def host_rules(address: str, http: HttpOptions) -> HostRules:
+    """The rules of `[http]` for the endpoint's own address. Raises ConfigurationError as HostRules."""
+    return HostRules(http.model_copy(update={"host": address}))

@@ -10,14 +10,16 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from roboneuron import Host
-from roboneuron.gate.audit import AuditRecord
-from roboneuron.server.registry import ERROR_META
-from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView, assess
+from roboneuron.feature import ERROR_META, EXPLANATIONS, AuditRecord, Health, ModuleView, assess
 
 OK = "ok"
 UNKNOWN = "unknown"
 """Label of a tool that there is not: clients could make any number of labels otherwise."""
+TASK_TOOL = "run_task"
+OUTCOMES = ("succeeded", "failed", "timed_out", "stopped", "unclear")
+"""Of rn-tasks. There is a counter for each from the beginning, so that a rate has something to begin from."""
 _CALL_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
+_TASK_BUCKETS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 120.0, 300.0, 600.0)
 _MODULE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5)
 _STATE_GAUGES = (
     ("rate_hz", "rate_hertz", "Rate of the module's output.", 1.0),
@@ -51,10 +53,17 @@ class Meters:
             "roboneuron_switches", "Modules that were switched while the robot worked, by result.",
             ("module", "result"), registry=self.registry,
         )  # fmt: skip
+        self.tasks = Counter("roboneuron_tasks", "Tasks that have ended.", ("outcome",), registry=self.registry)
+        self.task_s = Histogram(
+            "roboneuron_task_seconds", "How long tasks took.", ("outcome",), buckets=_TASK_BUCKETS_S,
+            registry=self.registry,
+        )  # fmt: skip
         self.latency_s = Histogram(
             "roboneuron_module_latency_seconds", "Median latencies that a module reported, one for each report.",
             ("module",), buckets=_MODULE_BUCKETS_S, registry=self.registry,
         )  # fmt: skip
+        for outcome in OUTCOMES:
+            self.tasks.labels(outcome)
         self._seen_s: dict[str, float] = {}
         self._latched = False
         self.registry.register(_Reports(host))
@@ -96,6 +105,10 @@ class Meters:
         try:
             answer = await call_next(ctx)
             result = result_of(answer)
+            outcome = outcome_of(tool, answer)
+            if outcome:
+                self.tasks.labels(outcome).inc()
+                self.task_s.labels(outcome).observe(time.monotonic() - begun_s)
             return answer
         except Exception as error:
             result = type(error).__name__
@@ -113,6 +126,14 @@ def result_of(answer: Any) -> str:
         return OK
     details = (answer.get("_meta") or {}).get(ERROR_META, {})
     return str(details.get("code", "error"))
+
+
+def outcome_of(tool: str, answer: Any) -> str:
+    """How the task of a call ended; empty for other calls, and for a task that was not begun."""
+    if tool != TASK_TOOL or result_of(answer) != OK:
+        return ""
+    told = str((answer.get("structuredContent") or {}).get("outcome", "")) if isinstance(answer, Mapping) else ""
+    return told if told in OUTCOMES else ""
 
 
 class _Reports:

@@ -7,8 +7,9 @@ FEATURE = FeatureSpec(
     summary="Serves metrics to Prometheus, and sends spans of tool calls by OpenTelemetry.",
     target="rn_metrics.feature:MetricsFeature",
     config="rn_metrics.options:MetricsOptions",
+    needs=("http",),
 )
-"""Descriptor of the feature."""
+"""Descriptor of the feature; `http` holds the tokens and the rules for hosts."""
 
 
 @hookimpl

@@ -14,7 +14,7 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
 from roboneuron import MissingDependencyError, __version__
-from roboneuron.gate.audit import AuditRecord
+from roboneuron.feature import AuditRecord
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace.export import SpanExporter
@@ -67,6 +67,7 @@ def otlp_exporter(endpoint: str) -> SpanExporter:
         from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
     except ImportError as error:
         raise MissingDependencyError(
-            "[metrics] traces needs the OTLP exporter.", hint="pip install 'rn-metrics[otlp]'"
+            "[metrics] traces needs the OTLP exporter.",
+            hint="pip install './plugins/rn-metrics[otlp]' (in RoboNeuron's source folder)",
         ) from error
     return OTLPSpanExporter(endpoint=endpoint)

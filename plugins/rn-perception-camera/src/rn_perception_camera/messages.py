@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from roboneuron import InvalidInputError, frame_from_buffer
-from roboneuron.contract.image import MAX_SIDE_PX
+from roboneuron import MAX_SIDE_PX, InvalidInputError, frame_from_buffer
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CompressedImage, Image

@@ -29,7 +29,7 @@ from rn_policy_cubes.weights import shipped_weights
 from rn_policy_cubes.words import write_tokenizer
 from rn_vla.openvla.checkpoint import Checkpoint
 from roboneuron import ConfigurationError
-from roboneuron.config import default_text
+from roboneuron.feature import default_text
 
 DATA_SET = "cubes"
 """Key of the statistics."""

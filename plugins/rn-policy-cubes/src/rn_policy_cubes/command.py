@@ -65,10 +65,15 @@ def _train(arguments: Namespace) -> int:
     torch.set_num_threads(arguments.threads)
     recipe = _recipe(arguments.set)
     data = arguments.data or arguments.out / "demonstrations"
-    record(data, recipe.shards, workers=arguments.workers, say=print)
-    training = train(recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse)
+    record(data, recipe.shards, workers=arguments.workers, say=_say)
+    training = train(recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=_say)
     print(f"step {training.step} of {recipe.steps}, state in {arguments.out}")
     return 0
+
+
+def _say(line: str) -> None:
+    """Print at once, also into a file or a pipe."""
+    print(line, flush=True)
 
 
 def _recipe(settings: list[str]) -> Recipe:

@@ -112,12 +112,15 @@ def draw(
     return _batch(shards, chosen, ids[sentence, np.arange(len(COLOURS))], noise, tokens, random)
 
 
-def every(shards: Shards, prompts: Prompts, views: int) -> Sequence[Batch]:
-    """All views in order, all tokens, plain sentences: for measuring."""
+def every(shards: Shards, prompts: Prompts, views: int, most: int | None = None) -> Sequence[Batch]:
+    """All views in order, or `most` spread over them; all tokens, plain sentences: for measuring."""
     random = np.random.default_rng(0)
+    wanted = np.arange(len(shards))
+    if most is not None and most < len(shards):
+        wanted = np.linspace(0, len(shards) - 1, most).astype(int)
     batches = []
-    for first in range(0, len(shards), views):
-        chosen = np.arange(first, min(first + views, len(shards)))
+    for first in range(0, len(wanted), views):
+        chosen = wanted[first : first + views]
         ids = prompts.by_length[0][np.arange(len(chosen)) % len(prompts.by_length[0])]
         batches.append(_batch(shards, chosen, ids, np.zeros((len(chosen), 1)), PATCHES, random))
     return batches

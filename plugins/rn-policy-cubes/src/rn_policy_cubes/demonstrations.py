@@ -5,6 +5,7 @@ They come in shards. A shard depends on its number only, so that any of them can
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
+from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.teacher import STEP_S, Situations, act, tilt_of, yaw_of
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import DEFAULT_COLOURS, REGION_X_M, REGION_Y_M, SPACING_M
@@ -61,17 +63,20 @@ def situations(rows: NDArray[np.void], cube: int) -> Situations:
     )
 
 
-def write_shard(directory: Path, number: int, views: int = VIEWS) -> tuple[int, int]:
-    """Make shard `number`; returns how many of its episodes lifted the cube, and how many there were."""
+def write_shard(
+    directory: Path, number: int, views: int = VIEWS, tell: Callable[[int], object] | None = None
+) -> tuple[int, int]:
+    """Make shard `number`; returns how many of its episodes lifted the cube, and how many there were.
+
+    `tell` gets the number of its views after each episode.
+    """
     rows_file, pictures_file = shard_files(directory, number)
     directory.mkdir(parents=True, exist_ok=True)
     recorder = _Recorder(number, views)
-    recorder.run()
+    recorder.run(tell or (lambda made: None))
     for path, array in ((pictures_file, recorder.pictures), (rows_file, recorder.rows)):  # the rows last: they count
-        unfinished = path.with_suffix(".part")
-        with unfinished.open("wb") as file:
+        with replacing(path) as unfinished, unfinished.open("wb") as file:
             np.save(file, array)
-        unfinished.rename(path)
     return recorder.lifted, len(set(recorder.rows["seed"]))
 
 
@@ -124,7 +129,7 @@ class _Recorder:
         self._controller.load()
         self._seed = 0
 
-    def run(self) -> None:
+    def run(self, tell: Callable[[int], object]) -> None:
         """Fill the arrays."""
         for episode in range(SEEDS_PER_SHARD):
             if self._count == self._views:
@@ -136,6 +141,7 @@ class _Recorder:
                     self._wander(simulation, target)
                 self._pick(simulation, target)
                 self.lifted += simulation.cubes()[target].held_s > 0.3
+            tell(self._count)
 
     def _wander(self, simulation: Simulation, target: str) -> None:
         """Go somewhere first, so that demonstrations begin everywhere."""

@@ -44,16 +44,28 @@ class Figures:
     grip: float
     grip_near: float
 
+    def __str__(self) -> str:
+        """For people."""
+        named = f"place nearest to the named cube {100 * self.named_nearest:.0f} %, off by {self.place_mm:.0f} mm"
+        return f"{named}; moves off by {self.action_mm:.1f} mm, gripper right {100 * self.grip:.0f} %"
+
     def as_dict(self) -> dict[str, float]:
         """For the curve."""
         return {f"held_out_{name}": value for name, value in asdict(self).items()}
 
 
 @torch.no_grad()
-def measure(network: CubesNetwork, helpers: Helpers, shards: Shards, prompts: Prompts, device: torch.device) -> Figures:
-    """The figures of a network."""
+def measure(
+    network: CubesNetwork,
+    helpers: Helpers,
+    shards: Shards,
+    prompts: Prompts,
+    device: torch.device,
+    most: int | None = None,
+) -> Figures:
+    """The figures of a network, over all views or `most` of them."""
     told, true, move, grip, known, distance, pointing, turn = [], [], [], [], [], [], [], []
-    for batch in every(shards, prompts, _VIEWS):
+    for batch in every(shards, prompts, _VIEWS, most):
         batch = batch.to(device)
         with torch.autocast(device.type, torch.bfloat16):
             thought = network(batch.look, batch.state, batch.ids, torch.bfloat16)

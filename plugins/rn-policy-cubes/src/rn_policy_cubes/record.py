@@ -5,35 +5,58 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
-from rn_policy_cubes.demonstrations import shard_files, write_shard
+from rn_policy_cubes.demonstrations import VIEWS, shard_files, write_shard
+from rn_policy_cubes.progress import Progress, Say
 from roboneuron import PluginError
 
-Say = Callable[[str], None]
+_POLL_S = 1.0
 
 
-def record(directory: Path, count: int, *, workers: int, say: Say) -> None:
+def record(directory: Path, count: int, *, workers: int, say: Say, views: int = VIEWS) -> None:
     """Make the shards below `count` that are not there.
 
     Args:
         directory: of the shards.
         count: how many there are to be.
         workers: processes.
-        say: gets one line for each shard.
+        say: gets how far it is, every 10 s.
+        views: of each shard.
 
     Raises:
         PluginError: a process failed.
     """
-    if missing_shards(directory, count) and workers > 1:
-        processes = [
-            subprocess.Popen([sys.executable, "-m", "rn_policy_cubes.record", str(directory), str(count), *share])
-            for share in ([str(part), str(workers)] for part in range(workers))
-        ]
-        if any([process.wait() for process in processes]):  # noqa: C419 - all are to end
-            raise PluginError("A process that makes demonstrations failed; its message is above.")
+    missing = missing_shards(directory, count)
+    if not missing:
+        return
+    say(f"demonstrations: {count - len(missing)} of {count} shards are there, {len(missing)} of {views} views are made")
+    progress = Progress("demonstrations: views", count * views, (count - len(missing)) * views, say)
+    if workers > 1:
+        _record_by_several(directory, count, workers, views, progress)
+    lifted, episodes = 0, 0
     for number in missing_shards(directory, count):
-        _say_shard(directory, number, count, say)
+        before = (count - len(missing_shards(directory, count))) * views
+        figures = f"{lifted} of {episodes} episodes lifted the cube" if episodes else ""
+        more = write_shard(directory, number, views, _counted(progress, before, figures))
+        lifted, episodes = lifted + more[0], episodes + more[1]
+
+
+def _counted(progress: Progress, before: int, figures: str) -> Callable[[int], object]:
+    return lambda made: progress.update(before + made, figures)
+
+
+def _record_by_several(directory: Path, count: int, workers: int, views: int, progress: Progress) -> None:
+    """Make them in processes; shards that are finished are counted."""
+    command = [sys.executable, "-m", "rn_policy_cubes.record", str(directory), str(count), str(views)]
+    processes = [subprocess.Popen([*command, str(part), str(workers)]) for part in range(workers)]
+    while any(process.poll() is None for process in processes):
+        with suppress(subprocess.TimeoutExpired):
+            next(process for process in processes if process.poll() is None).wait(_POLL_S)
+        progress.update((count - len(missing_shards(directory, count))) * views)
+    if any(process.returncode for process in processes):
+        raise PluginError("A process that makes demonstrations failed; its message is above.")
 
 
 def missing_shards(directory: Path, count: int) -> list[int]:
@@ -41,15 +64,10 @@ def missing_shards(directory: Path, count: int) -> list[int]:
     return [number for number in range(count) if not shard_files(directory, number)[0].exists()]
 
 
-def _say_shard(directory: Path, number: int, count: int, say: Say) -> None:
-    lifted, episodes = write_shard(directory, number)
-    say(f"demonstrations {number + 1}/{count}: {lifted} of {episodes} episodes lifted the cube")
-
-
-def _main(directory: str, count: str, part: str, parts: str) -> None:
+def _main(directory: str, count: str, views: str, part: str, parts: str) -> None:
     for number in missing_shards(Path(directory), int(count)):
         if number % int(parts) == int(part):
-            _say_shard(Path(directory), number, int(count), print)
+            write_shard(Path(directory), number, int(views))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,9 @@ from rn_policy_cubes.losses import Helpers, losses
 from rn_policy_cubes.measure import measure
 from rn_policy_cubes.network import CubesNetwork
 from rn_policy_cubes.packing import Card, Packed
+from rn_policy_cubes.progress import EVERY_S, Progress, Say
 from rn_policy_cubes.recipe import PATCHES, Recipe
+from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.start import new_network
 from rn_policy_cubes.words import Prompts, read_prompts, write_tokenizer
 from roboneuron import ConfigurationError
@@ -28,7 +29,8 @@ from roboneuron import ConfigurationError
 STATE_FILE, CURVE_FILE = "training.pt", "curve.jsonl"
 _BETAS, _DECAY, _CLIP = (0.9, 0.98), 0.01, 1.0
 _AVERAGE = 0.995
-Say = Callable[[str], None]
+_PREVIEW_VIEWS = 32
+"""Held-out views of a preview: seconds on a CPU, enough to see whether anything is learned."""
 
 
 @dataclass
@@ -76,13 +78,12 @@ class Training:
         return training
 
     def write(self, path: Path) -> None:
-        """Save everything; what was there is replaced at once or not at all."""
+        """Save everything; what was there is replaced at once or not at all. Raises StateError."""
         state: dict[str, Any] = {"step": self.step, "cpu_s": self.cpu_s, "recipe": self.recipe.model_dump(mode="json")}
         for name in ("network", "helpers", "average", "average_helpers", "optimiser"):
             state[name] = getattr(self, name).state_dict()
-        unfinished = path.with_suffix(".part")
-        torch.save(state, unfinished)
-        unfinished.rename(path)
+        with replacing(path) as unfinished:
+            torch.save(state, unfinished)
 
     def rate(self) -> float:
         """Learning rate of the next step: up, level, down."""
@@ -139,6 +140,8 @@ def train(
     log_every: int = 50,
     save_every_s: float = 120.0,
     measure_every: int = 1000,
+    say_every_s: float = EVERY_S,
+    preview_every_s: float = 120.0,
     fuse: bool = False,
 ) -> Training:
     """Train until step `until` (default: the recipe's last), going on from what `directory` holds.
@@ -148,9 +151,11 @@ def train(
         directory: of state, curve and tokenizer.
         data: of the shards.
         until: stop there, to go on another time.
-        say: gets one line for each entry of the curve.
+        say: gets lines for people: rate, time left, losses, figures on held-out views.
         log_every, measure_every: steps between entries, and between measurements on held-out views.
         save_every_s: time between two saved states.
+        say_every_s: time between two lines.
+        preview_every_s: time between figures of a few held-out views; the first come with the first line.
         fuse: compile the layers first (a C++ compiler is needed); a CPU then needs half of the time.
     """
     directory.mkdir(parents=True, exist_ok=True)
@@ -159,6 +164,7 @@ def train(
     prompts = read_prompts(tokenizer)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     seen = recipe.shards - recipe.held_out
+    say(f"training: reading {recipe.shards} shards of demonstrations")
     shards, held_out = Shards.load(data, range(seen)), Shards.load(data, range(seen, recipe.shards))
     state = directory / STATE_FILE
     if state.exists():
@@ -169,16 +175,28 @@ def train(
         for layer in training.network.layers:
             layer.compile(dynamic=False)
     weight, last = sampling(shards), recipe.steps if until is None else min(until, recipe.steps)
-    curve = _Curve(directory / CURVE_FILE, say)
+    curve = _Curve(directory / CURVE_FILE)
+    begins = f"at step {training.step}" if training.step else "from the beginning"
+    size = sum(parameter.numel() for parameter in training.network.parameters())
+    say(f"training: {size / 1e6:.2f} million parameters on {device.type}, {begins}, to step {last} of {recipe.steps}")
+    progress = Progress("step", last, training.step, say, every_s=say_every_s)
     saved_s = time.monotonic()
+    previewed_s = saved_s - preview_every_s
     while training.step < last:
         batch = training.draw(shards, prompts, weight).to(device)
-        curve.add(training.advance(batch))
+        numbers = training.advance(batch)
+        curve.add(numbers)
+        if progress.update(training.step, _told(numbers)) and time.monotonic() - previewed_s >= preview_every_s:
+            few = measure(training.average, training.average_helpers, held_out, prompts, device, _PREVIEW_VIEWS)
+            say(f"  preview at step {training.step}, of {min(_PREVIEW_VIEWS, len(held_out))} held-out views: {few}")
+            previewed_s = time.monotonic()
         if training.step % log_every == 0 or training.step == last:
             curve.flush(training)
         if training.step % measure_every == 0 or training.step == last:
             figures = measure(training.average, training.average_helpers, held_out, prompts, device)
             curve.note(training, figures.as_dict())
+            say(f"  held out at step {training.step}: {figures}")
+            previewed_s = time.monotonic()
         if time.monotonic() - saved_s > save_every_s or training.step == last:
             training.write(state)
             saved_s = time.monotonic()
@@ -208,8 +226,8 @@ def pack(directory: Path) -> Packed:
 class _Curve:
     """Losses by step, averaged between two lines of the file."""
 
-    def __init__(self, path: Path, say: Say) -> None:
-        self._path, self._say = path, say
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._sums: dict[str, float] = {}
         self._count = 0
 
@@ -230,4 +248,8 @@ class _Curve:
         line = {"step": training.step, "cpu_s": round(training.cpu_s, 1), **rounded}
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        self._say(json.dumps(line))
+
+
+def _told(numbers: dict[str, float]) -> str:
+    """The losses of a step, for people."""
+    return ", ".join(f"{name} {numbers[name]:.3g}" for name in ("total", "action", "place", "accuracy"))

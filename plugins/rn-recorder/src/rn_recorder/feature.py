@@ -14,13 +14,21 @@ from typing import Any
 from rn_recorder.options import RecorderOptions
 from rn_recorder.playing import playing_tool
 from rn_recorder.process import RecorderProcess
-from rn_recorder.tools import recording_tools
+from rn_recorder.tools import RecordingEnds, recording_tools
 from rn_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
 from rn_runs.store import Store
-from roboneuron import ConfigurationError, Feature, Host, NotReadyError, Tool, __version__
-from roboneuron.config import Config
-from roboneuron.modules.settings import ModuleKind
-from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
+from rn_runs.transforms import CameraMount
+from roboneuron import (
+    ConfigurationError,
+    Feature,
+    Host,
+    NotReadyError,
+    RobotProfile,
+    Tool,
+    __version__,
+    quaternion_from_matrix,
+)
+from roboneuron.feature import EXPLANATIONS, FAULTS, Config, Health, ModuleKind, ModuleView, load_profile
 
 log = logging.getLogger(__name__)
 FOLDER = "runs"
@@ -49,6 +57,10 @@ class Recorder(Feature[RecorderOptions]):
 
     _process: RecorderProcess | None = None
 
+    def __init__(self, options: RecorderOptions) -> None:
+        super().__init__(options)
+        self._ends = RecordingEnds()
+
     def check(self, config: Config) -> None:
         """Refuse a directory that is a file."""
         if self.options.directory and Path(self.options.directory).expanduser().is_file():
@@ -68,7 +80,7 @@ class Recorder(Feature[RecorderOptions]):
             host.events.fault.listen(self._on_fault)
             host.events.change.listen(self._on_change)
             host.events.call.listen(self._on_call)
-        tools = recording_tools(self._store, lambda: self._process, self.is_enabled)
+        tools = recording_tools(self._store, lambda: self._process, self.is_enabled, self._ends)
         return [*tools, playing_tool(host)] if os.environ.get(SWITCH, "").lower() == PLAY else tools
 
     def start(self, host: Host) -> None:
@@ -83,6 +95,7 @@ class Recorder(Feature[RecorderOptions]):
 
     def close(self) -> None:
         """Let the recorder finish its files."""
+        self._ends.close()
         if self._process is not None:
             self._process.close()
 
@@ -112,6 +125,8 @@ class Recorder(Feature[RecorderOptions]):
         supervisor.process_events.spawning.tell()
         config = self._host.config
         self._namespace = config.namespace
+        registry, robot = self._host.registry, config.robot.name
+        profile = load_profile(registry, robot) if robot in registry.specs("robot") else None
         settings = RecorderSettings(
             namespace=config.namespace,
             state_directory=supervisor.state_directory,
@@ -127,8 +142,12 @@ class Recorder(Feature[RecorderOptions]):
                 part_s=options.part_s,
                 quota_bytes=options.quota_mb * 10**6,
                 min_free_bytes=options.min_free_mb * 10**6,
+                keep_s=options.keep_days * 86_400.0,
+                incident_s=options.incident_most_s,
             ),
             about=self._about(config),
+            urdf=profile.urdf if profile is not None else "",
+            mounts=_mounts(profile) if profile is not None else (),
             resume=resume,
             resume_name=name,
         )
@@ -185,3 +204,23 @@ class Recorder(Feature[RecorderOptions]):
             self._process.close()
             self._process = self._make()
             self._process.start()
+
+
+def _mounts(profile: RobotProfile) -> tuple[CameraMount, ...]:
+    """Where the cameras are whose mount is known."""
+    links = {"base": profile.base_link, "tcp": profile.tcp_link}
+    found = []
+    for camera in profile.cameras:
+        calibration = camera.calibration
+        parent = "" if calibration is None else links.get(calibration.mount, "")
+        if calibration is None or not parent:
+            continue
+        pose = calibration.T_mount_camera
+        x_m, y_m, z_m = pose[:3, 3].tolist()
+        x, y, z, w = quaternion_from_matrix(pose[:3, :3]).tolist()
+        found.append(
+            CameraMount(
+                parent=parent, frame_id=camera.frame_id, position_m=(x_m, y_m, z_m), quaternion_xyzw=(x, y, z, w)
+            )
+        )
+    return tuple(found)

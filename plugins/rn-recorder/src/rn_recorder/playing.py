@@ -14,14 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rn_direct_path.delivery import Command
-from rn_direct_path.exposed import ACTION_LABEL as ENDPOINT
-from rn_direct_path.exposed import Exposed, gate_request
-from rn_direct_path.feature import gate_of
-from rn_direct_path.request import GateRequest
 from rn_runs.episodes import Streams, read_streams
-from roboneuron import Arguments, CallContext, Host, InvalidInputError, NotReadyError, RefusedError, Result, Tool
-from roboneuron.contract import ACTION_LABEL, ACTION_SIZE
+from rn_standard.direct_path.delivery import Command
+from rn_standard.direct_path.exposed import ACTION_LABEL as ENDPOINT
+from rn_standard.direct_path.exposed import Exposed, gate_request
+from rn_standard.direct_path.feature import gate_of
+from rn_standard.direct_path.request import GateRequest
+from roboneuron import (
+    ACTION_LABEL,
+    ACTION_SIZE,
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    RefusedError,
+    Result,
+    Tool,
+)
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -10,8 +12,9 @@ from pydantic import Field
 
 from rn_recorder.process import RecorderProcess
 from rn_runs.store import Run, Store
-from roboneuron import Arguments, CallContext, NotReadyError, Result, StateError, Tool
+from roboneuron import Arguments, CallContext, NotReadyError, Result, RoboNeuronError, StateError, Tool
 
+log = logging.getLogger(__name__)
 _ANSWER_S = 10.0
 _NAME = r"^[a-z0-9][a-z0-9-]*$"
 Outcome = Literal["success", "failure", "unknown"]
@@ -24,6 +27,9 @@ class StartRecording(Arguments):
         default="run", max_length=60, pattern=_NAME, description="Short name; lower-case letters, digits, hyphens."
     )
     note: str = Field(default="", max_length=500, description="Kept with the recording.")
+    duration_s: float | None = Field(
+        default=None, gt=0, le=86400, description="It ends by itself then; the call returns at once."
+    )
 
 
 class Started(Result):
@@ -81,7 +87,38 @@ class Recordings(Result):
     directory: str
 
 
-def recording_tools(store: Store, process: Callable[[], RecorderProcess | None], is_enabled: bool) -> list[Tool[Any]]:
+class RecordingEnds:
+    """Ends a recording after its time, by a thread of its own; a newer recording or `close` replaces the time."""
+
+    def __init__(self) -> None:
+        self.what: Callable[[str], object] = lambda run: None
+        """Called with the id of the recording whose time is over."""
+        self._timer: threading.Timer | None = None
+
+    def after(self, duration_s: float | None, run: str) -> None:
+        """End the recording `run` after this time; None: not by time."""
+        self.close()
+        if duration_s is not None:
+            self._timer = threading.Timer(duration_s, self._end, (run,))
+            self._timer.daemon = True
+            self._timer.start()
+
+    def close(self) -> None:
+        """Forget the time; may be called twice."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _end(self, run: str) -> None:
+        try:
+            self.what(run)
+        except RoboNeuronError as error:
+            log.error("The recording %s could not be ended after its time: %s", run, error)
+
+
+def recording_tools(
+    store: Store, process: Callable[[], RecorderProcess | None], is_enabled: bool, ends: RecordingEnds
+) -> list[Tool[Any]]:
     """start_recording, stop_recording and list_recordings."""
 
     def recorder() -> RecorderProcess:
@@ -96,17 +133,26 @@ def recording_tools(store: Store, process: Callable[[], RecorderProcess | None],
             raise StateError(str(answer["error"]), hint=str(answer.get("hint", "")))
         return answer
 
+    def end(run: str) -> None:
+        """The time of the recording is over; one that was stopped has taken its time back."""
+        recorder().resume_with("", "")
+        ask({"do": "stop", "facts": {}})
+
+    ends.what = end
+
     async def start_recording(arguments: StartRecording, context: CallContext) -> Started:
         facts = {"note": arguments.note, "who": context.who, "outcome": "unknown"}
         order = {"do": "start", "name": arguments.name, "facts": facts}
         answer = await context.run(lambda _: ask(order))
         recorder().resume_with(answer["id"], arguments.name)
+        ends.after(arguments.duration_s, answer["id"])
         return Started(id=answer["id"], directory=str(store.recordings / answer["id"]))
 
     async def stop_recording(arguments: StopRecording, context: CallContext) -> Stopped:
         facts: dict[str, Any] = {"outcome": arguments.outcome}
         if arguments.note:
             facts["note"] = arguments.note
+        ends.close()
         recorder().resume_with("", "")
         run = (await context.run(lambda _: ask({"do": "stop", "facts": facts})))["run"]
         found = await context.run(lambda _: store.get(run["id"]))
@@ -138,7 +184,7 @@ def recording_tools(store: Store, process: Callable[[], RecorderProcess | None],
             name="start_recording",
             title="Begin a recording",
             description=(
-                "Record images, actions, states, tool calls and verdicts to MCAP files until stop_recording. The "
+                "Record images, actions, states and calls to MCAP files, for duration_s or until stop_recording. The "
                 "last seconds before an incident are kept without it."
             ),
             arguments=StartRecording,

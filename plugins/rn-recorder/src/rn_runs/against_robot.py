@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import anyio
 
-from rn_console.client import spawned_server
 from rn_runs.settings import PLAY, SWITCH
+from rn_standard.console.client import spawned_server
 from roboneuron import ConfigurationError, NotReadyError, RefusedError
-from roboneuron.config import load_config
-from roboneuron.server.registry import ERROR_META
+from roboneuron.feature import ERROR_META, load_config
 
 if TYPE_CHECKING:
     from mcp import Client

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class Runs:
         add("--checkpoint", help="folder of the model's files")
         add("--runtime", help="runtime; default: the backend's own")
         add("--acceleration", help="acceleration preset")
-        add("--option", action="append", default=[], metavar="NAME=VALUE", help="an option of the backend")
+        add_option(parser, "the backend")
         add("--tolerance", type=float, default=1e-9, help="differences up to this count as equal (default: 1e-9)")
         add("--out", type=Path, help="folder for comparison.json and comparison.png")
 
@@ -85,8 +86,7 @@ def open_store(arguments: Namespace) -> Store:
     from rn_recorder.options import RecorderOptions
     from rn_recorder.plugin import FEATURE
     from rn_runs.store import Store
-    from roboneuron.config import feature_options, load_config
-    from roboneuron.ros.environment import state_directory
+    from roboneuron.feature import feature_options, load_config, state_directory
 
     if arguments.directory:
         return Store(arguments.directory)
@@ -226,13 +226,13 @@ def _replay(run: Run, arguments: Namespace) -> int:
         checkpoint=arguments.checkpoint,
         runtime=arguments.runtime,
         acceleration=arguments.acceleration,
-        options=dict(_option(text) for text in arguments.option),
+        options=read_options(arguments.option, backend),
     )
     try:
         found = list(replay(observations, loaded))
     finally:
         loaded.close()
-    comparison = compare(found, arguments.tolerance)
+    comparison = compare(found, arguments.tolerance, observations.gaps)
     print(describe(comparison, found))
     if arguments.out is not None:
         write_report(arguments.out, found, comparison)
@@ -240,17 +240,8 @@ def _replay(run: Run, arguments: Namespace) -> int:
     return int(comparison.diverging > 0)
 
 
-def _option(text: str) -> tuple[str, object]:
-    name, separator, value = text.partition("=")
-    if not separator:
-        raise ConfigurationError(f"--option is {text!r}, expected NAME=VALUE.")
-    try:
-        return name, json.loads(value)
-    except ValueError:
-        return name, value
-
-
 def _export(store: Store, arguments: Namespace) -> int:
+    """Status 1 when something was left out."""
     from rn_runs.files import copy_records, read_about
 
     runs = [found for name in arguments.runs for found in find_runs(store, name)]
@@ -260,7 +251,11 @@ def _export(store: Store, arguments: Namespace) -> int:
         written = export(runs, arguments.lerobot, outcome=arguments.outcome, fps=arguments.fps, codec=arguments.codec)
         frames = f"{written.frames} frames at {written.fps} Hz"
         print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
-        return 0
+        for left in written.skipped:
+            print(f"Left out: {left}.", file=sys.stderr)
+        if written.skipped:
+            print(f"{len(written.skipped)} left out; what is in the data set is whole.", file=sys.stderr)
+        return int(bool(written.skipped))
     files = [path for run in runs for path in run.files]
     if not files:
         raise InvalidInputError("These runs hold no files.")

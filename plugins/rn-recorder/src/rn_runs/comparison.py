@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_runs.replay import Compared
+from rn_runs.replay import Compared, Gaps
 from roboneuron import MissingDependencyError
 
 AXES = ("dx [m]", "dy [m]", "dz [m]", "rx [rad]", "ry [rad]", "rz [rad]", "gripper")
@@ -27,6 +27,7 @@ class Comparison:
         largest, mean: |difference| by axis, float64 (7,).
         first: number of the first one that diverges; None when none does.
         took_ms: median time of a replayed prediction.
+        gaps: what the run lacks.
     """
 
     predictions: int
@@ -36,6 +37,7 @@ class Comparison:
     first: int | None
     took_ms: float
     tolerance: float
+    gaps: Gaps = field(default_factory=Gaps)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -47,10 +49,12 @@ class Comparison:
             "mean": dict(zip(AXES, self.mean.tolist(), strict=True)),
             "first_divergence": self.first,
             "median_prediction_ms": self.took_ms,
+            "predictions_lost": self.gaps.predictions,
+            "predictions_without_image": self.gaps.without_image,
         }
 
 
-def compare(found: Sequence[Compared], tolerance: float) -> Comparison:
+def compare(found: Sequence[Compared], tolerance: float, gaps: Gaps | None = None) -> Comparison:
     """Summarize a replay of at least one prediction."""
     differences = [np.abs(one.difference) for one in found if one.difference.size]
     every = np.concatenate(differences) if differences else np.zeros((1, 7))
@@ -63,6 +67,7 @@ def compare(found: Sequence[Compared], tolerance: float) -> Comparison:
         first=diverging[0] if diverging else None,
         took_ms=float(np.median([one.took_s for one in found])) * 1e3,
         tolerance=tolerance,
+        gaps=gaps or Gaps(),
     )
 
 
@@ -91,8 +96,26 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
             row, place = divmod(int(np.abs(one.difference).argmax()), len(AXES))
             before, after = one.recorded[row, place], one.replayed[row, place]
             lines.append(f"Row {row}, {AXES[place]}: {before:.6g} -> {after:.6g}")
+    lines += _explain_gaps(comparison, found)
     lines.append(f"A replayed prediction took {comparison.took_ms:.1f} ms (median).")
     return "\n".join(lines)
+
+
+def _explain_gaps(comparison: Comparison, found: Sequence[Compared]) -> list[str]:
+    """What the run lacks, and what that means for what differs."""
+    gaps = comparison.gaps
+    if gaps.first_ns is None:
+        return []
+    parts = []
+    if gaps.predictions:
+        parts.append(f"{gaps.predictions} predictions (what the backend was asked then is not known)")
+    if gaps.without_image:
+        parts.append(f"an image of {gaps.without_image} predictions (they were not compared)")
+    after_s = (gaps.first_ns - found[0].at_ns) / 1e9
+    lines = [f"The run lacks {' and '.join(parts)}, first {after_s:.2f} s after the beginning: lost while recording."]
+    if comparison.first is not None and found[comparison.first].at_ns >= gaps.first_ns:
+        lines.append("What differs comes after that: a backend that remembers goes on from another state there.")
+    return lines
 
 
 def write_report(directory: Path, found: Sequence[Compared], comparison: Comparison) -> None:

@@ -59,10 +59,11 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them."""
+    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them, `sequence` the publisher's."""
 
     at_ns: int
     facts: dict[str, Any]
+    sequence: int = 0
 
 
 @dataclass(slots=True)
@@ -103,7 +104,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
         elif name == "action" and len(message.data) == 7:
             found.actions.append((record.publish_ns, np.array(message.data, dtype=np.float64)))
         elif name == "predictions":
-            found.predictions.append(Prediction(record.publish_ns, json.loads(message.data)))
+            found.predictions.append(Prediction(record.publish_ns, json.loads(message.data), record.sequence))
         elif name == "joint_states":
             found.joint_names = found.joint_names or tuple(message.name)
             if tuple(message.name) == found.joint_names:

@@ -10,7 +10,7 @@ import os
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, cast
 from zlib import error as ZlibError
@@ -23,13 +23,15 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from rn_runs.schemas import definition
-from roboneuron.log_files import opener
+from roboneuron.feature import opener
 
 CHUNK_BYTES = 1 << 20
 FLUSH_S = 0.5
 """A chunk is written at the latest after this time: what a killed recorder loses."""
 METADATA = "roboneuron"
 """Name of the metadata record that says what the file holds, and by what configuration."""
+LATCHED = "roboneuron.latched"
+"""Key of a channel's metadata: every file begins with the newest messages of its topic."""
 DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
 """What a reader raises at the end of a file that was cut short."""
 
@@ -88,16 +90,24 @@ class RunFile:
         path: must not exist yet; others cannot read what is made.
         about: strings for the metadata record at the beginning.
         definitions: definition by type, of those that are not installed here (copied from another file).
+        channels: metadata by topic, such as its quality of service; asked when the topic first occurs.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, str], definitions: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        definitions: Mapping[str, str] | None = None,
+        channels: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> None:
         self.path = path
         self.messages = 0
         self.unwritten = 0
         """Messages in the chunk in progress: not handed to the operating system yet."""
         self.first_ns = 0
         self.last_ns = 0
-        self._definitions = definitions or {}
+        self._definitions = {} if definitions is None else definitions
+        self._topics = {} if channels is None else channels
         self._file = _Unbuffered(path)
         self._writer = Writer(cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._channels: dict[tuple[str, str], int] = {}
@@ -156,7 +166,7 @@ class RunFile:
         if schema is None:
             text = self._definitions.get(record.type) or definition(record.type)
             schema = self._schemas[record.type] = self._writer.register_schema(record.type, "ros2msg", text.encode())
-        return self._writer.register_channel(record.topic, "cdr", schema)
+        return self._writer.register_channel(record.topic, "cdr", schema, dict(self._topics.get(record.topic, {})))
 
 
 def is_finished(path: Path) -> bool:
@@ -180,12 +190,15 @@ def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[Mca
         yield from StreamReader(file, emit_chunks=emit_chunks).records
 
 
-def read_records(path: Path, definitions: dict[str, str] | None = None) -> Iterator[Record]:
+def read_records(
+    path: Path, definitions: dict[str, str] | None = None, metadata: dict[str, dict[str, str]] | None = None
+) -> Iterator[Record]:
     """The messages of a file in the order in which they were written; what is cut off at its end is left out.
 
     Args:
         path: finished or not.
         definitions: filled with the definition of each type that occurs.
+        metadata: filled with the metadata of each topic that occurs.
 
     Raises:
         OSError: it cannot be read.
@@ -200,6 +213,8 @@ def read_records(path: Path, definitions: dict[str, str] | None = None) -> Itera
                     definitions[entry.name] = entry.data.decode()
             elif isinstance(entry, Channel):
                 channels[entry.id] = entry
+                if metadata is not None:
+                    metadata[entry.topic] = dict(entry.metadata)
             elif isinstance(entry, Message):
                 channel = channels[entry.channel_id]
                 name = schemas[channel.schema_id].name if channel.schema_id in schemas else ""
@@ -241,8 +256,13 @@ def copy_records(
     since_ns: int = 0,
     until_ns: int | None = None,
     attachments: Mapping[str, Any] | None = None,
+    again_ns: int | None = None,
 ) -> int:
     """Write one finished file of what several hold, oldest first, and return the number of messages.
+
+    A message that several files hold, as each holds the newest of latched topics, is written once. Latched ones are
+    written whenever they came. `again_ns`: what came before that time [ns] is in the first source; later ones may
+    be in several.
 
     Raises:
         OSError: it cannot be written; nothing is left of it then.
@@ -250,13 +270,28 @@ def copy_records(
     part = target.with_name(f".{target.name}.part")
     part.unlink(missing_ok=True)
     definitions: dict[str, str] = {}
-    file = RunFile(part, about, definitions)
+    metadata: dict[str, dict[str, str]] = {}
+    file = RunFile(part, about, definitions, metadata)
+    written: set[tuple[str, int, int, int, int]] = set()
     try:
-        for source in sources:
+        for number, source in enumerate(sources):
+            from_ns = since_ns if again_ns is None or not number else again_ns
             with suppress(FileNotFoundError):  # the ring goes on meanwhile
-                for record in read_records(source, definitions):
-                    if record.log_ns >= since_ns and (until_ns is None or record.log_ns <= until_ns):
-                        file.write(record)
+                for record in read_records(source, definitions, metadata):
+                    is_latched = LATCHED in metadata.get(record.topic, {})
+                    if until_ns is not None and record.log_ns > until_ns:
+                        continue
+                    if record.log_ns < from_ns and not is_latched:
+                        continue
+                    if is_latched or (again_ns is not None and record.log_ns >= again_ns):
+                        came_ns = 0 if is_latched else record.log_ns
+                        key = (record.topic, came_ns, record.publish_ns, record.sequence, hash(record.data))
+                        if key in written:
+                            continue
+                        written.add(key)
+                    if is_latched:
+                        record = replace(record, log_ns=max(record.log_ns, since_ns))
+                    file.write(record)
         for name, value in (attachments or {}).items():
             file.attach(name, "application/json", json.dumps(value, indent=1).encode(), file.last_ns)
         file.finish()

@@ -6,7 +6,8 @@ Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writ
 from __future__ import annotations
 
 import json
-from collections import deque
+import shutil
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_runs import lerobot_meta as meta
-from rn_runs.episodes import Episode, read_episodes, stamp_of
+from rn_runs.episodes import Episode, stamp_of
 from rn_runs.files import Record, read_records
 from rn_runs.images import pixels_of
 from rn_runs.lerobot_meta import Source
@@ -24,24 +25,31 @@ from rn_runs.reading import MessageDecoder, camera_of
 from rn_runs.statistics import Stats, image_stats, merge, stats_of
 from rn_runs.store import Run
 from rn_runs.video import CameraVideo, Codec, sample_every
-from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError
+from rn_runs.whole_episodes import Skipped, whole_sources
+from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError, StateError
 
 _FILE = "chunk-000/file-000"
-_RECENT = 90
-"""Images of each camera that are kept undecoded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was exported."""
+    """What was exported.
+
+    Attributes:
+        skipped: what was left out: run, instruction ("" for a whole run), and why.
+    """
 
     episodes: int
     frames: int
     fps: int
+    skipped: tuple[Skipped, ...] = ()
 
 
 def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec) -> Written:
-    """Write the episodes of these runs.
+    """Write the episodes of these runs; those that lack something are left out and named in the result.
+
+    The directory appears when all is in it: until then everything is in a hidden one beside it, which is deleted when
+    the export fails.
 
     Args:
         runs: in this order.
@@ -52,7 +60,8 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
 
     Raises:
         ConfigurationError: the directory exists.
-        InvalidInputError: there is nothing to export, or runs differ in joints, cameras or image sizes.
+        InvalidInputError: there is nothing to export, or nothing that is whole; says why of each.
+        StateError: the directory cannot be written.
         MissingDependencyError: pyarrow or PyAV is not installed.
     """
     try:
@@ -64,17 +73,32 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
         ) from error
     if directory.exists():
         raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")
-    sources = [_read(run, outcome) for run in runs]
+    unfinished = directory.with_name(f".{directory.name}.part")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    try:
+        written = _export(pa, pq, runs, unfinished, outcome, fps, codec)
+        unfinished.rename(directory)
+    except OSError as error:
+        raise StateError(
+            f"{error.filename or directory} cannot be written: {error.strerror or error}.",
+            hint="Free space on that disk or mend the permissions; nothing of the data set was left.",
+        ) from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return written
+
+
+def _export(
+    pa: Any, pq: Any, runs: Sequence[Run], directory: Path, outcome: str | None, fps: int | None, codec: Codec
+) -> Written:
+    sources, skipped = whole_sources(runs, outcome)
     episodes = [episode for source in sources for episode in source.episodes]
     if not episodes:
-        raise InvalidInputError(f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs.")
+        raise InvalidInputError(
+            f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs can be exported.",
+            hint=" ".join(f"{left}." for left in skipped),
+        )
     first = sources[0]
-    for source in sources:
-        if (source.joint_names, source.cameras) != (first.joint_names, first.cameras):
-            raise InvalidInputError(
-                f"The run {source.run.id!r} has other joints or cameras than {first.run.id!r}.",
-                hint="Export them into data sets of their own.",
-            )
     rate = fps or _rate(episodes)
     videos = {
         camera: CameraVideo(directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec)
@@ -114,13 +138,7 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
     _write_json(directory / "meta/stats.json", whole)
     _write_json(directory / "meta/info.json", meta.info(first, features, episodes, tasks, rate))
     _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
-    return Written(len(episodes), begin, rate)
-
-
-def _read(run: Run, outcome: str | None) -> Source:
-    episodes, streams = read_episodes(run.id, run.files, run.facts)
-    kept = [episode for episode in episodes if outcome is None or episode.outcome == outcome]
-    return Source(run, kept, streams.joint_names, tuple(sorted(streams.images)))
+    return Written(len(episodes), begin, rate, tuple(skipped))
 
 
 def _rate(episodes: Sequence[Episode]) -> int:
@@ -135,7 +153,7 @@ def _write_videos(
 ) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
     """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
 
-    One pass through the file: rows come in order of time, and what a backend saw is at most seconds old.
+    One pass through the file; an image is kept undecoded from when it comes until no row needs it any more.
     """
     samples: list[dict[str, tuple[NDArray[np.float64], int]]] = [{} for _ in source.episodes]
     wanted = {
@@ -144,23 +162,28 @@ def _write_videos(
         )
         for camera in videos
     }
-    recent: dict[str, deque[tuple[int, Record]]] = {camera: deque(maxlen=_RECENT) for camera in videos}
+    needed = {camera: Counter(stamp for stamp, _ in rows) for camera, rows in wanted.items()}
+    held: dict[str, dict[int, Record]] = {camera: {} for camera in videos}
     decoder = MessageDecoder()
     for record in (record for path in source.run.files for record in read_records(path, decoder.definitions)):
         camera = camera_of(record.topic)
         if camera not in videos:
             continue
-        recent[camera].append((stamp_of(record.data), record))
+        stamp_ns = stamp_of(record.data)
+        if not needed[camera][stamp_ns]:
+            continue
+        held[camera].setdefault(stamp_ns, record)
         rows, video = wanted[camera], videos[camera]
-        while rows and (found := next((r for stamp, r in recent[camera] if stamp == rows[0][0]), None)) is not None:
-            _, number = rows.popleft()
+        while rows and (found := held[camera].get(rows[0][0])) is not None:
+            stamp_ns, number = rows.popleft()
             image = pixels_of(decoder.decode(found), found.type)
             video.add(image, 1, sample_every(len(source.episodes[number].rows)))
+            needed[camera][stamp_ns] -= 1
+            if not needed[camera][stamp_ns]:
+                del held[camera][stamp_ns]
             if not rows or rows[0][1] != number:
                 samples[number][camera] = video.take_sample()
-    missing = [camera for camera in videos if wanted[camera]]
-    if missing:
-        raise InvalidInputError(f"Images of camera {missing[0]!r} that the backend saw are not in {source.run.id!r}.")
+    assert not any(wanted.values()), "all images were there when the episodes were chosen"
     return samples
 
 

@@ -21,16 +21,14 @@ from typing import Any
 
 from rn_runs.audit_tail import AuditTail
 from rn_runs.files import Record
+from rn_runs.frames import Frames
 from rn_runs.images import COMPRESSED, IMAGE, to_jpeg, to_string
 from rn_runs.priority import give_way
 from rn_runs.recording import Recording, Rules
 from rn_runs.settings import RecorderSettings
 from rn_runs.store import Store
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.gate.audit import FILE_NAME as AUDIT
-from roboneuron.log_files import begin_logging
-from roboneuron.modules.parent_watch import Signals
-from roboneuron.ros.environment import prepare_environment
+from roboneuron.feature import AUDIT_FILE, Signals, begin_logging, prepare_environment
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
@@ -89,8 +87,9 @@ class RecorderProcess:
         self._undecodable = 0
         self._missed_before = 0
         self._events = 0
-        self._audit = AuditTail(settings.state_directory / AUDIT)
+        self._audit = AuditTail(settings.state_directory / AUDIT_FILE)
         self.recording = Recording(Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about)
+        self._frames = Frames(settings, self.recording)
         self.counts: Callable[[], dict[str, Any]] = dict
         self._parent = os.getppid()
         self.put = self._backlog.put
@@ -105,6 +104,7 @@ class RecorderProcess:
             self.recording.store.make()
             self._hold()
             self.recording.adopt()
+            self._frames.begin()
         except (OSError, ValueError, KeyError) as error:
             log.error("%s cannot be used now: %s", self._settings.directory, error)
         if self._settings.resume:
@@ -154,6 +154,13 @@ class RecorderProcess:
             self._obey(self._orders.popleft())
         self.recording.tick()
 
+    def describe(self, topic: str, metadata: Mapping[str, str]) -> None:
+        """Keep a topic's metadata for the files that begin later; its images may be recorded under another name."""
+        channels = self.recording.latched.channels
+        for name in (topic, f"{topic}/compressed"):
+            if channels.get(name) != metadata:
+                channels[name] = dict(metadata)
+
     def _write(self, record: Record) -> None:
         if record.type == IMAGE and self._settings.images == "jpeg":
             try:
@@ -164,6 +171,7 @@ class RecorderProcess:
             if encoded is not None:
                 topic = f"{record.topic}/compressed"
                 record = Record(topic, COMPRESSED, record.log_ns, record.publish_ns, record.sequence, encoded)
+        self._frames.follow(record)
         self.recording.take(record)
 
     def _obey(self, order: Mapping[str, Any]) -> None:
@@ -267,7 +275,7 @@ def main() -> None:
         parameter_overrides=nothing_served,
     )
     topics = _absolute(settings.topics, settings.namespace)
-    tap = Tap(node, topics, _absolute(settings.exclude, settings.namespace), process.put)
+    tap = Tap(node, topics, _absolute(settings.exclude, settings.namespace), process.put, process.describe)
     process.counts = lambda: {"received": dict(tap.received), "gaps": dict(tap.gaps)}
     leaving = threading.Event()
 

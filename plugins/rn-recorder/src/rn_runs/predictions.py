@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from roboneuron import ActionChunk, Observation
 
 if TYPE_CHECKING:
-    from roboneuron.modules.inference import InferenceModule
-    from roboneuron.modules.module import Module
-    from roboneuron.modules.module_host import ModuleHost
+    from roboneuron.feature import InferenceModule, Module, ModuleHost
 
 _MOST_KEPT = 20
 

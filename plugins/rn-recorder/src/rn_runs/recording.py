@@ -14,14 +14,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rn_runs.files import Record, repair, write_json
 from rn_runs.incident import Incident, cut
-from rn_runs.sink import Sink
+from rn_runs.sink import Latched, Sink
 from rn_runs.store import RUN_FILE, Store
 from roboneuron import StateError
 
@@ -40,6 +40,8 @@ class Rules:
         after_s: an incident goes on for so long [s].
         part_bytes, part_s: a part of a recording is at most so large and so long.
         quota_bytes: all files together.
+        keep_s: files that were last written so long ago are deleted [s]; 0 for never.
+        incident_s: an incident that goes on becomes at most so long; then another one begins [s].
         min_free_bytes: less free space on the disk ends writing.
     """
 
@@ -49,6 +51,8 @@ class Rules:
     part_s: float = 300.0
     quota_bytes: int = 10_000_000_000
     min_free_bytes: int = 500_000_000
+    keep_s: float = 0.0
+    incident_s: float = 300.0
 
 
 @dataclass(slots=True)
@@ -89,9 +93,13 @@ class Recording:
         self._monotonic = monotonic
         self._ring: deque[Path] = deque()
         self._segment = 0
-        self._ring_sink = Sink("ring", self._next_segment, self._about)
+        self.latched = Latched()
+        """Metadata of topics and messages of latched ones, for every file that begins."""
+        self._ring_sink = Sink("ring", self._next_segment, self._about, self.latched)
         self._active: _Active | None = None
         self._incident: Incident | None = None
+        self._former: Incident | None = None
+        """The newest incident that was written: a fault soon after it belongs to it."""
         self._cutting: threading.Thread | None = None
         self._checked_s = 0.0
         self._space = ""
@@ -108,7 +116,9 @@ class Recording:
         left = sorted(self.store.ring.glob("*.mcap"))
         for path in self.store.ring.glob("*.json"):
             pending = json.loads(path.read_text(encoding="utf-8"))
-            self._cut(Incident(pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"]), left)
+            incident = Incident(pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"])
+            incident.kept_ns = int(pending.get("kept_ns", 0))
+            self._cut(incident, left)
         for run in self.store.runs():
             for path in run.files:
                 repair(path)
@@ -120,6 +130,7 @@ class Recording:
     def take(self, record: Record) -> None:
         """Keep a message."""
         now_s = self._monotonic()
+        self.latched.note(record)
         if self._space:
             self.lost_space += 1
             return
@@ -142,7 +153,7 @@ class Recording:
                 is_long = now_ns - sink.file.first_ns > self.rules.part_s * 1e9
                 if is_long or sink.file.size_bytes > self.rules.part_bytes:
                     sink.finish()
-        if self._incident is not None and now_ns >= self._incident.until_ns:
+        if self._incident is not None and now_ns >= self._incident.due_ns(self.rules.ring_s, self.rules.after_s):
             self._finish_incident()
         if now_s - self._checked_s >= _CHECK_S:
             self._checked_s = now_s
@@ -175,7 +186,7 @@ class Recording:
             ) from error
         parts = len(list(folder.glob("part-*.mcap")))
         about = {**self._about, "run": run_id, "name": name}
-        sink = Sink("recording", lambda: self._next_part(), about)
+        sink = Sink("recording", lambda: self._next_part(), about, self.latched)
         self._active = _Active(run_id, folder, begun, sink, parts)
         return run_id
 
@@ -200,20 +211,40 @@ class Recording:
         return {**known, "id": active.id, "files": [str(path) for path in files], "directory": str(active.folder)}
 
     def incident(self, word: str, facts: Mapping[str, Any]) -> str:
-        """A fault: keep the ring's time before it and some time after it. Another one within that time joins it."""
+        """A fault: keep the ring's time before it and some time after it.
+
+        Another fault before that time is over, or so soon after it that the ring reaches back to it, joins the
+        incident: what goes on for minutes is one file.
+        """
         if self.rules.ring_s <= 0:
             return ""
         now_ns = self._clock_ns()
         until_ns = now_ns + round(self.rules.after_s * 1e9)
+        most_ns = round(self.rules.incident_s * 1e9)
+        if self._incident is not None and now_ns > self._incident.at_ns + most_ns:
+            self._finish_incident()
         if self._incident is None:
-            self._incident = Incident(f"{_stamp(now_ns)}-{word}", now_ns, until_ns)
+            self._incident = self._reopened(now_ns) or Incident(f"{_stamp(now_ns)}-{word}", now_ns, until_ns)
         pending = self._incident
+        pending.until_ns = min(until_ns, pending.at_ns + most_ns)
         pending.facts.append({"at_ns": now_ns, "what": word, **facts})
         with suppress(OSError):  # for the next recorder, should this one die before it is written
             self.store.make()
-            kept = {"id": pending.id, "at_ns": pending.at_ns, "until_ns": pending.until_ns, "facts": pending.facts}
+            kept = {name: getattr(pending, name) for name in ("id", "at_ns", "until_ns", "facts", "kept_ns")}
             write_json(self.store.ring / f"{pending.id}.json", kept)
         return pending.id
+
+    def _reopened(self, now_ns: int) -> Incident | None:
+        """The newest incident that was written, if this fault follows it soon and it is not too long yet."""
+        former, self._former = self._former, None
+        if former is None or now_ns > former.until_ns + round((self.rules.ring_s - self.rules.after_s) * 1e9):
+            return None
+        if now_ns >= former.at_ns + round(self.rules.incident_s * 1e9):
+            return None
+        if self._cutting is not None:
+            self._cutting.join()
+        former.kept_ns = former.until_ns
+        return former
 
     def close(self, state: str = "finished") -> None:
         """End everything: the recording, an incident that is due, the ring."""
@@ -252,23 +283,32 @@ class Recording:
         """Delete segments that ended before the ring begins; those of an incident in progress are kept."""
         if self._cutting is not None and self._cutting.is_alive():
             return
-        reach_ns = self._incident.at_ns if self._incident is not None else now_ns
-        oldest_ns = reach_ns - round(self.rules.ring_s * 1e9)
+        oldest_ns = now_ns - round(self.rules.ring_s * 1e9)
+        if self._incident is not None:
+            oldest_ns = min(oldest_ns, self._incident.begin_ns(self.rules.ring_s))
         while len(self._ring) > 1 and int(self._ring[1].name.split("-")[0]) < oldest_ns:
             self._ring.popleft().unlink(missing_ok=True)
 
     def _finish_incident(self) -> None:
-        """Cut it out of the ring on a thread of its own, so that recording goes on."""
+        """Cut it out of the ring on a thread of its own, so that recording goes on; one that goes on stays open."""
         incident, self._incident = self._incident, None
         assert incident is not None
         if self._cutting is not None:
             self._cutting.join()
         self._ring_sink.finish()
-        self._cutting = threading.Thread(target=self._cut, args=(incident, list(self._ring)), name="incident")
+        now_ns = self._clock_ns()
+        written = replace(incident, until_ns=min(incident.until_ns, now_ns), facts=list(incident.facts))
+        if incident.until_ns > now_ns:
+            incident.kept_ns = now_ns
+            self._incident = incident
+        else:
+            self._former = incident
+        self._cutting = threading.Thread(target=self._cut, args=(written, list(self._ring)), name="incident")
         self._cutting.start()
 
     def _cut(self, incident: Incident, segments: list[Path]) -> None:
-        if cut(incident, segments, self.store, self.rules.ring_s, self._about):
+        is_new = not incident.kept_ns
+        if cut(incident, segments, self.store, self.rules.ring_s, self._about) and is_new:
             self.incidents_written.append(incident.id)
 
     def _check_space(self) -> None:
@@ -292,6 +332,9 @@ class Recording:
         in_use = {sink.file.path for sink in sinks if sink.file is not None}
         for path in self.store.keep_below(self.rules.quota_bytes, in_use):
             log.info("Deleted for the quota: %s", path)
+        if self.rules.keep_s > 0:
+            for path in self.store.keep_younger(self._clock_ns() / 1e9 - self.rules.keep_s, in_use):
+                log.info("Deleted for its age: %s", path)
 
 
 def _stamp(at_ns: int) -> str:

@@ -21,6 +21,7 @@ from roboneuron import (
     Ahead,
     Backend,
     CameraProfile,
+    ConfigurationError,
     Frame,
     InvalidInputError,
     JointSample,
@@ -68,6 +69,21 @@ class Compared:
         return bool(self.recorded.size and np.abs(self.difference).max() > tolerance)
 
 
+@dataclass(frozen=True, slots=True)
+class Gaps:
+    """What a run lacks of what the backend was asked: messages that were lost while it was recorded.
+
+    Attributes:
+        predictions: so many are missing by the publisher's count; what the backend answered then is not known.
+        without_image: predictions that are there, but an image that the backend saw is not: they are not compared.
+        first_ns: when the first of both was [ns]; None for none.
+    """
+
+    predictions: int = 0
+    without_image: int = 0
+    first_ns: int | None = None
+
+
 class Observations:
     """The observations of a run, in the order of its predictions.
 
@@ -99,19 +115,47 @@ class Observations:
         predictions = self._streams.predictions
         self._used = {f["camera"] for prediction in predictions for f in prediction.facts["frames"].values()}
         """Cameras of the recorded backend: what it did without is left out."""
+        self._there = {camera: {stamp for _, stamp in seen} for camera, seen in self._streams.images.items()}
+        self.gaps = self._find_gaps()
+        """What the run lacks."""
         self._decoder = MessageDecoder()
         self._recent: dict[str, deque[tuple[int, Record]]] = {}
         self._infos: dict[str, Any] = {}
 
+    def _lacks_image(self, prediction: Prediction) -> bool:
+        frames = prediction.facts["frames"].values()
+        return any(int(f["stamp_ns"]) not in self._there.get(f["camera"], set()) for f in frames)
+
+    def _find_gaps(self) -> Gaps:
+        lost, incomplete, at_ns = 0, 0, list[int]()
+        before = 0
+        for prediction in self._streams.predictions:
+            if 0 < before < prediction.sequence - 1:
+                lost += prediction.sequence - 1 - before
+                at_ns.append(prediction.at_ns)
+            before = prediction.sequence
+            if self._lacks_image(prediction):
+                incomplete += 1
+                at_ns.append(prediction.at_ns)
+        return Gaps(lost, incomplete, min(at_ns, default=None))
+
     def __iter__(self) -> Iterator[tuple[Prediction, Observation]]:
-        """Each recorded prediction with the observation it was made of, rebuilt.
+        """Each recorded prediction with the observation it was made of, rebuilt; those of which an image is lost are
+        left out (see `gaps`).
 
         Raises:
-            InvalidInputError: an image that the backend saw is not in the run.
+            InvalidInputError: every prediction lacks an image, or images come in another order than predictions.
         """
+        if self.gaps.without_image == len(self._streams.predictions):
+            raise InvalidInputError(
+                f"The run lacks an image of each of its {self.gaps.without_image} predictions.",
+                hint="Record the images as well: `topics` and `exclude` in [recorder].",
+            )
         records = (record for path in self._files for record in read_records(path, self._decoder.definitions))
         self._recent.clear()
         for prediction in self._streams.predictions:
+            if self._lacks_image(prediction):
+                continue
             stamps = {f["camera"]: int(f["stamp_ns"]) for f in prediction.facts["frames"].values()}
             while not all(self._find(camera, stamp) for camera, stamp in stamps.items()):
                 record = next(records, None)
@@ -158,7 +202,7 @@ class Observations:
         return next((record for stamp, record in reversed(self._recent.get(camera, ())) if stamp <= stamp_ns), None)
 
     def _frame(self, record: Record, camera: CameraProfile) -> Frame:
-        from roboneuron.ros.messages import intrinsics_from_camera_info  # heavy
+        from roboneuron.feature import intrinsics_from_camera_info  # heavy
 
         message = self._decoder.decode(record)
         image = pixels_of(message, record.type)
@@ -235,17 +279,18 @@ def load_replayed(
     checkpoint: str | None,
     runtime: str | None,
     acceleration: str | None,
-    options: Mapping[str, object],
+    options: Mapping[str, Mapping[str, object]],
 ) -> tuple[Observations, Backend]:
     """The run's observations, and the backend, loaded, for the robot that the run is of.
 
+    Args:
+        options: by name of the plugin that takes them.
+
     Raises:
+        ConfigurationError: options of a plugin that this replay does not make.
         RoboNeuronError: the backend does not fit the robot, or cannot be loaded; or as `Observations`.
     """
-    from roboneuron.config import load_config
-    from roboneuron.modules.plugin import build, load_profile
-    from roboneuron.planning import check_plan
-    from roboneuron.plugins.discovery import discover
+    from roboneuron.feature import build, check_plan, discover, load_config, load_profile
 
     about = read_about(files[0])
     settings = load_config(config)
@@ -263,11 +308,22 @@ def load_replayed(
     )
     assert plan.backend is not None
     profile = load_profile(registry, robot)
-    given = {**settings.options(backend), **options}
+    made_of = [part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None]
+    for name in options:
+        if name not in made_of:
+            raise ConfigurationError(
+                f"--option names {name!r}, which this replay does not make.",
+                hint=f"It makes: {', '.join(made_of)}.",
+            )
+
+    def options_of(name: str) -> dict[str, Any]:
+        return {**settings.options(name), **options.get(name, {})}
+
+    given = options_of(backend)
     if checkpoint is not None:
         given["checkpoint"] = checkpoint
     parts = {
-        part: None if chosen is None else build(chosen, settings.options(chosen.name))
+        part: None if chosen is None else build(chosen, options_of(chosen.name))
         for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
     }
     made = cast("Backend", build(plan.backend, given, **parts))

@@ -20,6 +20,10 @@ _BUILT_IN = frozenset({"bool", "byte", "char", "float32", "float64", "string", "
 _FIELD = re.compile(r"\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
 
 
+_OWN = {("tf2_msgs", "TFMessage"): "geometry_msgs/TransformStamped[] transforms\n"}
+"""Types that the recorder itself makes up, whose package need not be installed."""
+
+
 @cache
 def definition(type_name: str) -> str:
     """The concatenated definition of a message type such as "sensor_msgs/msg/Image".
@@ -46,6 +50,8 @@ def _read(package: str, name: str) -> str:
         path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if prefix and path.is_file():
             return path.read_text(encoding="utf-8")
+    if (package, name) in _OWN:
+        return _OWN[package, name]
     raise FileNotFoundError(f"No definition of {package}/msg/{name} is installed.")
 
 

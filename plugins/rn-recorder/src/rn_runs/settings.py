@@ -11,8 +11,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from roboneuron.log_files import make_log_directory, opener
-from roboneuron.ros.environment import module_environment
+from rn_runs.transforms import CameraMount
+from roboneuron.feature import make_log_directory, module_environment, opener
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
 """Environment variable of a server: with "off" nothing is recorded (tests, small machines); with PLAY neither, but the
@@ -32,6 +32,8 @@ class RulesSettings(BaseModel):
     part_s: float
     quota_bytes: int
     min_free_bytes: int
+    keep_s: float = 0.0
+    incident_s: float = 300.0
 
 
 class RecorderSettings(BaseModel):
@@ -44,6 +46,7 @@ class RecorderSettings(BaseModel):
         topics, exclude: patterns; those without a slash in front are under the namespace.
         images: "jpeg" or "lossless".
         about: for the metadata of every file.
+        urdf, mounts: of the robot, for `robot_description` and transforms; empty for none.
         resume, resume_name: a recording that a recorder before this one was writing.
     """
 
@@ -58,6 +61,8 @@ class RecorderSettings(BaseModel):
     jpeg_quality: int
     rules: RulesSettings
     about: Mapping[str, str]
+    urdf: str = ""
+    mounts: tuple[CameraMount, ...] = ()
     resume: str = ""
     resume_name: str = ""
 

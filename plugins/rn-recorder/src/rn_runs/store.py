@@ -184,6 +184,19 @@ class Store:
                     shutil.rmtree(path.parent, ignore_errors=True)
         return deleted
 
+    def keep_younger(self, since_s: float, open_files: set[Path]) -> list[Path]:
+        """Delete finished files that were last written before that time [s since 1970]; returns what was deleted."""
+        deleted: list[Path] = []
+        for path in [*sorted(self.recordings.glob("*/*.mcap")), *sorted(self.incidents.glob("*.mcap"))]:
+            with suppress(OSError):
+                if path in open_files or path.stat().st_mtime >= since_s:
+                    continue
+                path.unlink()
+                deleted.append(path)
+                if path.parent.parent == self.recordings and not list(path.parent.glob("*.mcap")):
+                    shutil.rmtree(path.parent, ignore_errors=True)
+        return deleted
+
     def _recordings(self) -> Iterator[Run]:
         for folder in self.recordings.glob("*"):
             files = tuple(sorted(folder.glob("part-*.mcap")))

@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from importlib import import_module
 from typing import Any
@@ -20,10 +20,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from rn_runs.channels import describe_channel
 from rn_runs.files import Record
 from rn_runs.images import IMAGE
 from rn_runs.schemas import definition
-from roboneuron.ros.qos import requested_qos
+from roboneuron.feature import requested_qos
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.1
@@ -42,14 +43,20 @@ class Tap:
         node: of this process.
         topics, exclude: absolute patterns as of `fnmatch`; hidden topics are left out.
         take: gets every message, in the order in which they came, on the thread of `run`.
+        describe: gets what the publishers of a topic offer, before its messages and again when that changes.
     """
 
     def __init__(
-        self, node: Node, topics: Sequence[str], exclude: Sequence[str], take: Callable[[Record], None]
+        self,
+        node: Node,
+        topics: Sequence[str],
+        exclude: Sequence[str],
+        take: Callable[[Record], None],
+        describe: Callable[[str, Mapping[str, str]], None] = lambda topic, metadata: None,
     ) -> None:
         self._node = node
         self._topics, self._exclude = tuple(topics), tuple(exclude)
-        self._take = take
+        self._take, self._describe = take, describe
         self._found: dict[str, tuple[QoSProfile, Subscription]] = {}
         self._types: dict[str, str] = {}
         self._unusable: set[str] = set()
@@ -107,6 +114,7 @@ class Tap:
             if not publishers:
                 continue
             self._note_single(topic, len(publishers) == 1)
+            self._describe(topic, describe_channel(topic, publishers))
             is_image = types[0] == IMAGE
             qos = requested_qos(publishers, _IMAGES if is_image else _OTHERS)
             known = self._found.get(topic)

@@ -9,13 +9,13 @@ import numpy as np
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from rn_direct_path.twists import TWIST_FIELDS, check_twist
 from rn_robot_bases.odometry import PlanarPose, to_message
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
 from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
 from rn_simulation.real_time import RealTimeThread
+from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,

@@ -23,6 +23,7 @@ def _base(name: str, summary: str) -> RobotSpec:
                 summary="PyBullet or MuJoCo simulation on a flat floor, with wheel odometry",
                 target="rn_robot_bases.driver:SimulatedBase",
                 config="rn_robot_bases.options:SimulatedBaseOptions",
+                simulated=True,
                 requires=(_ENGINE,),
             ),
         ),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rn_direct_path.twists import TWIST_FIELDS
-from rn_direct_path.twists import check_twist as check_endpoint_twist
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, RACECAR, Platform
+from rn_standard.direct_path.twists import TWIST_FIELDS
+from rn_standard.direct_path.twists import check_twist as check_endpoint_twist
 from roboneuron import Endpoint, RobotProfile
 
 CMD_VEL = "cmd_vel"

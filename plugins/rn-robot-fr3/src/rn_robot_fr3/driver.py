@@ -25,6 +25,9 @@ from roboneuron import (
     Topics,
 )
 
+_CATCH_UP_S = 1.0 / 60.0
+"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its limit."""
+
 
 class SimulatedDriver:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
@@ -47,6 +50,7 @@ class SimulatedDriver:
             step_s=STEP_S,
             factor=self._options.real_time_factor,
             publish_rate_hz=self._options.state_rate_hz,
+            catch_up_s=_CATCH_UP_S,
         )
         self._state: RobotState | None = None
         self._detail: dict[str, str] = {}

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
+from roboneuron import CameraSpec, CommandSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
 
-_INSTALL = "pip install ./plugins/rn-interfaces-control ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
+_INSTALL = "pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
 ROS2_CONTROL = Requirement(module="rn_driver_ros2control", install=_INSTALL)
 CONTROL_MSGS = Requirement(module="control_msgs", install=_INSTALL)
+_FCI = tuple(
+    Requirement(module=module, install="pip install pylibfranka ruckig franky-control (Python 3.11 or 3.12, x86-64)")
+    for module in ("pylibfranka", "ruckig", "franky")
+)
 _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
 """As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
 
@@ -31,6 +35,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
                     target="rn_robot_fr3.driver:SimulatedDriver",
                     config="rn_robot_fr3.options:SimulatedDriverOptions",
+                    simulated=True,
                     requires=(_ENGINE,),
                 ),
                 DriverSpec(
@@ -46,7 +51,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     summary="The arm itself, over its network protocol (FCI, protocol 10); or franka-sim",
                     target="rn_robot_fr3.fci.driver:FciDriver",
                     config="rn_robot_fr3.fci.options:FciDriverOptions",
-                    requires=(Requirement(module="franky", install="pip install franky-control"),),
+                    requires=_FCI,
                     recovers=True,
                 ),
             ),
@@ -67,5 +72,17 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             requires=(_ENGINE,),
             robots=("fr3",),
             drivers=("simulated", "fci"),
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_commands() -> Sequence[CommandSpec]:
+    """The command `roboneuron fr3`."""
+    return [
+        CommandSpec(
+            name="fr3",
+            summary="check whether this machine and its network can control a real FR3",
+            target="rn_robot_fr3.fci.check_command:Fr3",
         )
     ]

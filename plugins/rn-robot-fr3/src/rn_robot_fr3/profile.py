@@ -23,6 +23,12 @@ TABLE_LOWER_M, TABLE_UPPER_M = (-0.30, -0.60, -0.60), (1.00, 0.60, 0.00)
 """The table that the arm stands on, as in `world.py`, and what is below it."""
 FINGER_LINKS = ("fr3_leftfinger", "fr3_rightfinger")
 
+OWN_TOPICS = (
+    *("sim/state", "measured_joint_states", "external_joint_torques"),
+    *("external_wrench_in_base_frame", "current_pose", "robot_state"),
+)
+"""Written by the simulation and by the driver of the control box."""
+
 
 def _endpoints() -> tuple[Endpoint, ...]:
     images = tuple(
@@ -82,4 +88,5 @@ def profile() -> RobotProfile:
         ),
         workspace=Workspace(lower_m=np.array(WORKSPACE_LOWER_M), upper_m=np.array(WORKSPACE_UPPER_M)),
         endpoints=_endpoints(),
+        own_topics=OWN_TOPICS,
     )

@@ -150,13 +150,21 @@ class Simulation:
         checked(wanted)
         indices = [COMMANDED.index(name) for name in names]
         if COMMANDED.index(FINGER_JOINT) in indices:
-            # After a grasp the setpoint lies inside the object; opening starts from where the finger really is.
-            self._setpoint.position[-1] = self.joint_positions()[len(ARM_JOINTS)]
+            self._release_fingers(float(wanted.position[list(names).index(FINGER_JOINT)]))
         target = self._setpoint.target.copy()
         target[indices] = np.clip(wanted.position, self._lower[indices], self._upper[indices])
         possible_s = max(duration_s, self._setpoint.shortest_s(target, indices))
         self._setpoint.aim(target, indices, duration_s)
         return JointCommand(names=tuple(names), position=target[indices], duration_s=possible_s)
+
+    def _release_fingers(self, target_m: float) -> None:
+        """After a grasp the setpoint lies inside the object: opening starts from where the finger really is.
+
+        A command that closes keeps the setpoint, and with it the force.
+        """
+        measured_m = float(self.joint_positions()[len(ARM_JOINTS)])
+        if target_m > self._setpoint.position[-1]:
+            self._setpoint.position[-1] = max(self._setpoint.position[-1], min(measured_m, target_m))
 
     def hold(self) -> None:
         """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing is dropped."""

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 MOST_RECORDINGS = 64
 """CUDA graphs at most: each holds memory, and recording one takes about as long as three requests."""
+WARM_LENGTHS = 29
+"""Prompt lengths that are recorded unless the options say which."""
 
 
 class TorchRuntimeConfig(BaseModel):
@@ -25,14 +27,17 @@ class TorchRuntimeConfig(BaseModel):
     """Record each prompt length of `warm_prompt_tokens` once and replay it; without effect on the CPU."""
     compile: bool = False
     """Compile each decoder layer with torch.compile during load."""
-    warm_prompt_tokens: tuple[int, int] = (12, 40)
-    """Prompt lengths, first and last, recorded during load on CUDA, at most 64; others run unrecorded."""
+    warm_prompt_tokens: tuple[int, int] | None = None
+    """Prompt lengths, first and last, recorded during load on CUDA, at most 64; None: the 29 shortest that the model's
+    template makes. Others run unrecorded, and the status says so."""
+    record_at_change: bool = True
+    """On CUDA a changed preset records the prompt length in use at once, which takes about three predictions."""
     threads: Annotated[int, Field(ge=1)] | None = None
     """CPU threads of torch in this process; None leaves torch's own choice."""
 
     @model_validator(mode="after")
     def _check_range(self) -> TorchRuntimeConfig:
-        first, last = self.warm_prompt_tokens
+        first, last = self.warm_prompt_tokens or (1, 1)
         if not 1 <= first <= last:
             raise ValueError(f"warm_prompt_tokens is ({first}, {last}), expected 1 <= first <= last")
         if last - first >= MOST_RECORDINGS:

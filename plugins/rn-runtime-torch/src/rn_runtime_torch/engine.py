@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from rn_runtime_torch.cache import KeyValueCache
-from rn_runtime_torch.config import TorchRuntimeConfig
+from rn_runtime_torch.config import MOST_RECORDINGS, WARM_LENGTHS, TorchRuntimeConfig
 from rn_runtime_torch.decoder import MATRICES, Decoder
 from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype, free_bytes, memory_errors
 from rn_runtime_torch.fillings import Fillings, fill_up
@@ -30,9 +30,12 @@ from rn_vla.decoding import (
     TokenReply,
     TokenRequest,
 )
+from rn_vla.pruning import TokenSelection
 from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Kind = tuple[str | int, ...]
+Key = tuple[TokenSelection | None, Kind, tuple[tuple[str, tuple[int, ...]], ...]]
+"""Of a recording: the preset's selection, what was asked, shapes by input."""
 _BATCH_SHARE = 0.5
 """Of the memory that is free after loading: a pass takes no more requests than fit there."""
 _TRIAL_TOKENS = 8
@@ -62,6 +65,8 @@ class Engine:
             torch.set_num_threads(config.threads)
         self._model = model
         self._is_compiled = config.compile
+        self._records_at_change = config.record_at_change
+        self._latest: Request | None = None
         self._device = choose_device(config)
         self._dtype = choose_dtype(config, self._device)
         check_shards(model.shards)
@@ -150,7 +155,10 @@ class Engine:
         return int(self._model.example(1).prompt.ids.size) - 1
 
     def _warm_lengths(self, config: TorchRuntimeConfig) -> range:
-        first, last = config.warm_prompt_tokens
+        first = self._model.min_prompt_tokens
+        last = first + WARM_LENGTHS - 1
+        if config.warm_prompt_tokens is not None:
+            first, last = config.warm_prompt_tokens
         last = min(last, self._model.max_prompt_tokens - self._added_tokens())
         first = min(first, last)
         return range(first, (first if self._graphs is None else last) + 1)
@@ -158,8 +166,9 @@ class Engine:
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
         """Answer later requests with another preset; weights, cache and recordings stay where they are.
 
-        On CUDA nothing is recorded here, since the robot may be moving: shapes that were recorded during load are
-        replayed whenever their preset is in force again, and requests under another one run unrecorded.
+        On CUDA the shape of the latest request is recorded with the new preset, unless the options say otherwise: about
+        three predictions, once, so that those of the instruction in progress are replayed. Other shapes under this
+        preset run unrecorded; recordings of former presets are replayed when theirs is in force again.
 
         Raises:
             ConfigurationError: the preset does not fit this model, or layers are compiled for shapes of their own.
@@ -177,9 +186,22 @@ class Engine:
                 if acceleration is not None:
                     acceleration.apply(decoder)
                 self._try_selection()
+                self._record_latest()
         except BaseException:
             decoder.selection = before
             raise
+
+    def _record_latest(self) -> None:
+        """Record what was asked last with the selection in force, unless it is or there are as many as there may be."""
+        if self._graphs is None or self._latest is None or not self._records_at_change:
+            return
+        if len(self._graphs) >= MOST_RECORDINGS:
+            return
+        self._recording = True
+        try:
+            self.answer(self._latest, lambda: None)
+        finally:
+            self._recording = False
 
     def _try_selection(self) -> None:
         """Let the selection answer once, so that one which does not fit is refused here and not by the next request."""
@@ -206,21 +228,39 @@ class Engine:
                 for name, array in request.prompt.arrays.items()
             }
             inputs["ids"] = torch.from_numpy(request.prompt.ids)[None].to(self._device)
+            self._latest = request
             outputs, kept = self._execute(*self._computation(request, check), inputs)
             if not bool(outputs["finite"]):
                 raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
-            metrics = {"tokens_kept": float(kept)}
+            metrics, note = {"tokens_kept": float(kept)}, ""
             if self._graphs is not None:
                 metrics["recorded"] = float(self._graphs.was_replayed)
+                note = "" if self._graphs.was_replayed else self._explain_eager(request.prompt.ids.size)
             if isinstance(request, TokenRequest):
                 logits = outputs["logits"].cpu().numpy() if request.with_logits else None
-                return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics)
-            return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics)
+                return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics, note=note)
+            return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics, note=note)
+
+    def _explain_eager(self, ids: int) -> str:
+        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as the options count."""
+        assert self._graphs is not None
+        added = self._added_tokens()
+        recorded = sorted(
+            size - added
+            for selection, _, shapes in (cast("Key", key) for key in self._graphs.keys())  # noqa: SIM118
+            if selection == self._decoder.selection
+            for name, (_, size, *_) in shapes
+            if name == "ids"
+        )
+        if not recorded:
+            return "CUDA graph: eager, none is recorded for the preset in force."
+        span = f"{recorded[0]} to {recorded[-1]}" if len(recorded) > 1 else f"{recorded[0]} only"
+        return f"CUDA graph: eager, prompt of {ids - added} tokens (recorded: {span})."
 
     def answer_batch(self, requests: Sequence[RowsRequest], check: Check) -> list[RowsReply]:
         """Answer requests that read alike in one pass, or in as few as memory allows; `check` is called between them.
 
-        On CUDA such passes run unrecorded. Raises as `answer`, for all when it is so for one.
+        On CUDA such passes run unrecorded, and say so. Raises as `answer`, for all when it is so for one.
         """
         for request in requests:
             self._check_prompt(request.prompt.ids)
@@ -243,8 +283,10 @@ class Engine:
         outputs = self._read_rows(requests[0], Fillings(start, counts))[1](inputs)
         if not bool(outputs["finite"]):
             raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
-        metrics = {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))}
-        return [RowsReply(values=values, metrics=metrics) for values in outputs["values"].cpu().numpy()]
+        metrics, note = {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))}, ""
+        if self._graphs is not None:
+            metrics["recorded"], note = 0.0, f"CUDA graph: eager, batch of {len(requests)}."
+        return [RowsReply(values=values, metrics=metrics, note=note) for values in outputs["values"].cpu().numpy()]
 
     def _check_prompt(self, ids: NDArray[np.int64]) -> None:
         if ids.size > self._model.max_prompt_tokens:
@@ -312,8 +354,8 @@ class Engine:
     def _execute(self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
         if self._graphs is not None:
             shapes = tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items()))
-            key = (self._decoder.selection, kind, shapes)
-            if self._recording:
+            key: Key = (self._decoder.selection, kind, shapes)
+            if self._recording and key not in self._graphs:
                 self._graphs.record(key, compute, inputs, lambda: self._decoder.visual_kept)
             found = self._graphs.run(key, inputs)
             if found is not None:

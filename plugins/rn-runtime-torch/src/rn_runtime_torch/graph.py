@@ -41,6 +41,13 @@ class GraphCache:
     def __len__(self) -> int:
         return len(self._recorded)
 
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._recorded
+
+    def keys(self) -> tuple[Hashable, ...]:
+        """What was recorded."""
+        return tuple(self._recorded)
+
     def record(self, key: Hashable, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]) -> None:
         """Record the computation for `key`.
 

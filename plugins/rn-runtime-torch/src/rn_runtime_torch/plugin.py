@@ -22,7 +22,7 @@ def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
             target="rn_runtime_torch.runtime:TorchRuntime",
             config="rn_runtime_torch.config:TorchRuntimeConfig",
             requires=(
-                Requirement(module="torch", install="pip install torch"),
+                Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
                 Requirement(module="safetensors", install="pip install safetensors"),
             ),
             families=FAMILIES,

@@ -111,6 +111,8 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
 def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
     """Copy every tensor that has a target into its slot, converting type and device, shard by shard.
 
+    Tensors without one, of parts that inference never runs, are read too: a file that is damaged there is damaged.
+
     Raises:
         CheckpointError: a tensor holds NaN or infinity, a file is damaged, or a slot stayed empty.
     """
@@ -119,11 +121,13 @@ def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
         finite: dict[str, Tensor] = {}
         with _opened(shard.path) as opened:
             for name, weight in shard.weights.items():
+                tensor = opened.tensor(name)
                 if weight.target:
                     slot = slots[weight.target]
-                    slot.copy_(opened.tensor(name))
-                    finite[name] = torch.isfinite(slot).all()
+                    slot.copy_(tensor)
                     filled.add(weight.target)
+                    tensor = slot  # in the type of the runtime, which may overflow
+                finite[name] = torch.isfinite(tensor).all()
         bad = [name for name, flag in finite.items() if not bool(flag)]
         if bad:
             raise CheckpointError(

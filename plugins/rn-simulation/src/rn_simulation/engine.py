@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Literal, cast
 
 from roboneuron import ConfigurationError, Requirement
-from roboneuron.plugins.availability import explain, present
 
 Engine = Literal["pybullet", "mujoco"]
 """An engine by the name of its package."""
@@ -23,11 +23,13 @@ def choose_engine(choice: EngineChoice) -> Engine:
     Raises:
         ConfigurationError: it is not installed.
     """
-    found = present(REQUIREMENT)
+    found = [module for module in (REQUIREMENT.module, *REQUIREMENT.alternatives) if find_spec(module) is not None]
     if choice == "auto" and found:
         return cast(Engine, found[0])
     if choice in found:
         return cast(Engine, choice)
-    wanted = REQUIREMENT if choice == "auto" else Requirement(module=choice, install=f"pip install {choice}")
+    wanted, install = "'pybullet' or 'mujoco'", REQUIREMENT.install
+    if choice != "auto":
+        wanted, install = f"'{choice}'", f"pip install {choice}"
     hint = f"Or leave the choice to 'auto': {' and '.join(found)} is installed." if found else ""
-    raise ConfigurationError(f"{explain([wanted])}.", hint=hint)
+    raise ConfigurationError(f"Needs {wanted}, not installed; run: {install}.", hint=hint)

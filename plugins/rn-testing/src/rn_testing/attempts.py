@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable
-from roboneuron.errors import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
 
 T = TypeVar("T")
 

@@ -8,10 +8,9 @@ from typing import Any
 
 from rn_testing.cases import CASES, Case
 from rn_testing.extension_cases import FeatureCase
-from roboneuron.errors import PluginError
-from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_attribute
-from roboneuron.plugins.specs import FeatureSpec, Spec
+from rn_testing.kinds import kind_of
+from roboneuron import FeatureSpec, PluginError, Spec
+from roboneuron.feature import discover, load_attribute
 
 
 def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
@@ -20,7 +19,8 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
     Raises:
         PluginError: the descriptor's `case` cannot be imported, raises, or returns no case of this descriptor.
     """
-    expected = CASES.get(spec.kind, Case)  # of a kind that another plugin has brought
+    brought = None if spec.kind in CASES else kind_of(type(spec))
+    expected = CASES.get(spec.kind, Case) if brought is None else brought.case
     if isinstance(spec, FeatureSpec) and spec.case is None:
         installed = discover().specs(FeatureSpec)
         needs = tuple(installed[name] for name in spec.needs if name in installed)

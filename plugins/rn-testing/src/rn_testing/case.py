@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 from rn_testing.deadline import CALL_LIMITS_S, call_bounded
 from rn_testing.fakes import MemoryTopics
 from rn_testing.rule import Violation
-from roboneuron.plugins.loading import load_options, load_target
-from roboneuron.plugins.specs import DriverSpec, Spec
+from roboneuron import DriverSpec, Spec
+from roboneuron.feature import load_options, load_options_model, load_target
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 S = TypeVar("S", bound=Spec)
 
@@ -39,6 +42,18 @@ class Case(Generic[S]):
     def configuration(self) -> object:
         """The validated options, or None when the descriptor takes none."""
         return load_options(self.spec, self.options)
+
+    def given_options(self) -> tuple[str, Mapping[str, object]]:
+        """The argument of the case that sets options of `option_model`, and these."""
+        return "options", self.options
+
+    def option_model(self) -> type[BaseModel] | None:
+        """The class of the options that the rules may set."""
+        return load_options_model(self.spec)
+
+    def with_options(self, changes: Mapping[str, object]) -> Self:
+        """The case with other values of some options."""
+        return replace(self, options={**self.options, **changes})
 
     def _target(self, spec: Spec | DriverSpec) -> Callable[..., Any]:
         target = load_target(spec)

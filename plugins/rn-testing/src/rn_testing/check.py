@@ -1,8 +1,9 @@
 """`python -m rn_testing.check`: the rules of one installed plugin, one JSON line per rule, as they are decided.
 
 Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds one JSON object:
-`distribution`, `offers` (a list of kind and name) and `options`. Standard output holds, per rule, first
-{"subject", "rule", "text"} when it is begun and then the same with "verdict", "detail" and "traceback".
+`distribution`, `plugin` (the name of its entry point), `offers` (a list of kind and name) and `options` (by name of the
+offer, "" for all of them). Standard output holds, per rule, first {"subject", "rule", "text"} when it is begun and then
+the same with "verdict", "detail" and "traceback".
 """
 
 from __future__ import annotations
@@ -17,31 +18,34 @@ from rn_testing.automatic import make_case
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Outcome, Rule, Verdict, verify
 from rn_testing.rules import RULES, rules_of
-from roboneuron.errors import RoboNeuronError
-from roboneuron.plugins.discovery import discover
+from roboneuron import RoboNeuronError
+from roboneuron.feature import discover
 
 
 class Request(TypedDict):
     """What is to be checked."""
 
     distribution: str
+    plugin: str
     offers: list[tuple[str, str]]
-    options: dict[str, object]
+    options: dict[str, dict[str, object]]
 
 
 def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]]]:
     """Label, case and rules of each thing to check; a case that cannot be made comes as its RoboNeuronError."""
-    yield request["distribution"], PackageCase(distribution=request["distribution"]), RULES["package"]
+    package = PackageCase(distribution=request["distribution"], plugin=request["plugin"])
+    yield request["plugin"], package, RULES["package"]
     offers = [tuple(pair) for pair in request["offers"]]
     specs = {
         (offer.spec.kind, offer.spec.name): offer.spec
         for offer in discover().all_offers
-        if offer.distribution == request["distribution"]
+        if (offer.distribution, offer.plugin) == (package.distribution, package.plugin)
     }
     for kind, name in offers:
         label = f"{kind} {name}"
         try:
-            yield label, make_case(specs[kind, name], request["options"]), rules_of(kind)
+            options = {**request["options"].get("", {}), **request["options"].get(name, {})}
+            yield label, make_case(specs[kind, name], options), rules_of(kind)
         except RoboNeuronError as error:
             yield label, error, rules_of(kind)
 

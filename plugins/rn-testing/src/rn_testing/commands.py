@@ -8,9 +8,17 @@ import numpy as np
 
 from rn_testing.kinematics import place_tcp
 from rn_testing.rule import Violation, require
-from roboneuron.contract import Action, JointCommand, JointSample, Pose, RobotProfile, apply_delta
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
+from roboneuron import (
+    Action,
+    JointCommand,
+    JointSample,
+    Pose,
+    RobotProfile,
+    apply_delta,
+    matrix_from_quaternion,
+    rotvec_from_matrix,
+)
+from roboneuron.feature import F64
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
 """How far a command may end from what its residual says: the residual is compared, so this only covers rounding and

@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from rn_testing.cases import CASES, PackageCase
+from rn_testing.kinds import kind_of
 from rn_testing.rule import Rule, Verdict, verify
 from rn_testing.rules import RULES
+from roboneuron import PluginError, Spec
 
 
 def _report(rule: Rule[Any], case: Any) -> None:
@@ -30,8 +32,8 @@ class Contract:
         raise NotImplementedError(f"override the fixture `plugin` and return a case, see {type(self).__mro__[1]}")
 
 
-def _contract(kind: str, case: type[Any]) -> type[Contract]:
-    rules = RULES[kind]
+def _contract(kind: str, case: type[Any], rules: tuple[Rule[Any], ...] = ()) -> type[Contract]:
+    rules = rules or RULES[kind]
 
     @pytest.mark.parametrize("rule", rules, ids=[rule.id for rule in rules])
     def test_contract(self: Contract, rule: Rule[Any], plugin: Any) -> None:
@@ -41,6 +43,14 @@ def _contract(kind: str, case: type[Any]) -> type[Contract]:
     text = f"Subclass as `TestX`, override `plugin` and return a {case.__name__}; every rule becomes a test."
     name = f"{kind.capitalize()}Contract"
     return type(name, (Contract,), {"__doc__": text, "__module__": __name__, "test_contract": test_contract})
+
+
+def contract_of(spec: type[Spec]) -> type[Contract]:
+    """The contract class of a kind that another plugin has brought, by its descriptor class."""
+    kind = kind_of(spec)
+    if kind is None:
+        raise PluginError(f"{spec.__name__} names no rules: give it `rules`, see rn_testing.kinds.")
+    return _contract(spec.kind, kind.case, kind.rules)
 
 
 BackendContract = _contract("backend", CASES["backend"])

@@ -17,6 +17,7 @@ CALL_LIMITS_S: Mapping[str, float] = {
     "constructor": 5.0,
     "load": 300.0,
     "open": 60.0,
+    "start": 10.0,  # of a feature: the server starts one after the other, and answers nobody meanwhile
     "reset": 5.0,
     "close": 5.0,  # the supervisor kills a module that takes longer
     "abort": 2.0,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, cast
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,21 @@ from numpy.typing import NDArray
 from rn_testing.case import Case
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.rule import NotApplicable, Violation
-from roboneuron.contract import CameraProfile, Controller, PerceptionSource, RobotDriver, RobotProfile
-from roboneuron.plugins.loading import load_options
-from roboneuron.plugins.specs import ControllerSpec, DriverSpec, PerceptionSpec, RobotSpec
+from roboneuron import (
+    CameraProfile,
+    Controller,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSource,
+    PerceptionSpec,
+    RobotDriver,
+    RobotProfile,
+    RobotSpec,
+)
+from roboneuron.feature import load_options, load_options_model
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +40,7 @@ class PerceptionCase(Case[PerceptionSpec]):
         timeout_s: bound on waiting for one frame [s].
         expected: makes the image that the first frame shows, RGB; None when it is not known. The mean difference may
             be 12 of 255, so that a lossy codec passes.
+        rate_hz: frames per second of each camera; when None that of the option that says so.
     """
 
     subject: ClassVar[str] = "perception"
@@ -36,6 +49,7 @@ class PerceptionCase(Case[PerceptionSpec]):
     feed: Callable[[Any, MemoryTopics], None] | None = None
     timeout_s: float = 10.0
     expected: Callable[[], NDArray[np.uint8]] | None = None
+    rate_hz: float | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the perception module calls it."""
@@ -131,6 +145,18 @@ class RobotCase(Case[RobotSpec]):
     def option_names(self) -> frozenset[str]:
         """The options of the driver that the case sets."""
         return frozenset(self.driver_options)
+
+    def given_options(self) -> tuple[str, Mapping[str, object]]:
+        """Those of the driver."""
+        return "driver_options", self.driver_options
+
+    def option_model(self) -> type[BaseModel] | None:
+        """The class of the driver's options."""
+        return load_options_model(self.driver_spec())
+
+    def with_options(self, changes: Mapping[str, object]) -> RobotCase:
+        """The case with other values of some options of the driver."""
+        return replace(self, driver_options={**self.driver_options, **changes})
 
     def prepare(
         self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options

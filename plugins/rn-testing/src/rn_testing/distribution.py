@@ -12,12 +12,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from pathlib import Path
 
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
-from roboneuron.plugins.hookspecs import PROJECT
+from roboneuron.feature import PROJECT
 
 PROBE_LIMIT_S = 60.0
 """Bound on a fresh interpreter's start and import."""
@@ -91,12 +91,33 @@ def header(case: PackageCase, name: str) -> str:
     return str(metadata[name]).strip() if name in metadata else ""
 
 
+def _all_entry_points(case: PackageCase) -> list[EntryPoint]:
+    return [p for p in find_distribution(case).entry_points if p.group == PROJECT]
+
+
 def find_entry_points(case: PackageCase) -> list[EntryPoint]:
-    """The entry points of the group `roboneuron`; raises Violation when there are none."""
-    points = [p for p in find_distribution(case).entry_points if p.group == PROJECT]
+    """The entry points of the group `roboneuron` that the case is about; raises Violation when there are none."""
+    points = [p for p in _all_entry_points(case) if case.plugin in ("", p.name)]
     if not points:
-        raise Violation(f"{case.distribution} has no entry point in the group {PROJECT!r}")
+        named = f" {case.plugin!r}" if case.plugin else ""
+        raise Violation(f"{case.distribution} has no entry point{named} in the group {PROJECT!r}")
     return points
+
+
+def find_package(case: PackageCase, module: str) -> str:
+    """Name of the package that is the plugin: the top-level one, or of several in one distribution that of `module`."""
+    is_alone = len(_all_entry_points(case)) == 1
+    return module.partition(".")[0] if is_alone or not case.plugin else module.rpartition(".")[0] or module
+
+
+def plugin_package(module: str) -> str:
+    """Name of the package of the installed plugin that `module` belongs to; its top-level package where that has one
+    plugin only, or none.
+    """
+    top = module.partition(".")[0]
+    packages = [p.module.rpartition(".")[0] for p in entry_points(group=PROJECT) if p.module.partition(".")[0] == top]
+    around = [package for package in packages if f"{module}.".startswith(f"{package}.")]
+    return max(around, key=len, default=top) if len(packages) > 1 else top
 
 
 def find_package_directory(case: PackageCase, module: str) -> Path:
@@ -109,9 +130,19 @@ def find_package_directory(case: PackageCase, module: str) -> Path:
 
 
 def source_files(case: PackageCase) -> Iterator[Path]:
-    """Every Python file of the packages that the entry points name."""
-    for directory in {find_package_directory(case, p.module) for p in find_entry_points(case)}:
-        yield from sorted(directory.rglob("*.py"))
+    """Every Python file of the packages that the entry points name, without those of other plugins inside of them."""
+    places = {find_package(case, p.module): _place(case, p.module) for p in find_entry_points(case)}
+    others = [_place(case, p.module) for p in _all_entry_points(case) if case.plugin not in ("", p.name)]
+    for directory in set(places.values()):
+        inner = [other for other in others if other != directory and other.is_relative_to(directory)]
+        for path in sorted(directory.rglob("*.py")):
+            if not any(path.is_relative_to(other) for other in inner):
+                yield path
+
+
+def _place(case: PackageCase, module: str) -> Path:
+    """Folder of the package that is the plugin."""
+    return find_package_directory(case, module).joinpath(*find_package(case, module).split(".")[1:])
 
 
 def hosted_directories(case: PackageCase) -> Iterator[Path]:
@@ -141,13 +172,23 @@ def requirements(case: PackageCase) -> frozenset[str]:
     return frozenset(normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines)
 
 
+def _import_path() -> list[str]:
+    """The import path of this process without the working directory, which `python -m` puts there by itself.
+
+    A stray file such as re.py there is no fault of the plugin.
+    """
+    asked = [Path(entry).absolute() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    here = Path.cwd()
+    return [entry for entry in sys.path if entry and (Path(entry) != here or here in asked)]
+
+
 @functools.lru_cache(maxsize=16)
 def probe(case: PackageCase, module: str) -> Probe:
     """Import `module` in a fresh interpreter, once per case; raises Violation when that fails."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(_import_path()), "PYTHONSAFEPATH": "1"}
     try:
         done = subprocess.run(
-            [sys.executable, "-B", "-c", _PROBE, json.dumps(list(case.path)), module],
+            [sys.executable, "-P", "-B", "-c", _PROBE, json.dumps(list(case.path)), module],
             capture_output=True,
             text=True,
             timeout=PROBE_LIMIT_S,

@@ -7,16 +7,18 @@ import gc
 import itertools
 import os
 import sys
+import tempfile
 import threading
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
 
 from rn_testing.rule import NotApplicable, Violation
-from roboneuron.errors import RoboNeuronError
+from roboneuron import RoboNeuronError
 
 T = TypeVar("T")
 
@@ -29,6 +31,10 @@ MANY, QUICK_S, ROUND_S, TRIES = 200, 0.001, 0.25, 3
 others may take when the least number of calls takes less, and how many calls are timed."""
 RELEASE_S = 3.0
 """How long what was closed may take to end."""
+ROUNDS = 4
+"""Rounds of the memory check, of which the first may fill caches and one that keeps nothing is enough."""
+OPEN_FILES = 0.05
+"""Files that a call may leave open: other threads open a few meanwhile."""
 LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
 """What each of MANY calls, each of the least number of calls (whose bounded histories are still filling) and, of memory
 that Python does not know, any call may keep; below is noise. Noise is a round's, so more calls show smaller leaks."""
@@ -45,6 +51,7 @@ _EVENTS = {
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
 _observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
+_created: ContextVar[list[Path] | None] = ContextVar("created_files", default=None)
 
 
 def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
@@ -74,7 +81,35 @@ def _install_hook() -> None:
     sys.addaudithook(_audit)
 
 
+@contextmanager
+def watch_new_files(created: list[Path]) -> Iterator[None]:
+    """Notes in `created` what this thread makes in the folder of temporary files and in the working folder."""
+    _install_hook()
+    tempfile.gettempdir()  # asked for the first time it writes a file, which the hook must not wait for
+    token = _created.set(created)
+    try:
+        yield
+    finally:
+        _created.reset(token)
+
+
+def _note_new_file(created: list[Path], event: str, arguments: tuple[object, ...]) -> None:
+    if event in ("tempfile.mkdtemp", "tempfile.mkstemp"):
+        created.append(Path(str(arguments[0])))
+        return
+    name, flags = arguments[0], arguments[2]
+    if not isinstance(name, (str, bytes, os.PathLike)) or not isinstance(flags, int) or not flags & os.O_CREAT:
+        return
+    path = Path(os.fsdecode(name)).absolute()
+    is_near = path.parent == Path.cwd() or path.is_relative_to(tempfile.gettempdir())
+    if is_near and not path.exists() and not path.suffix.startswith(".pyc"):
+        created.append(path)
+
+
 def _audit(event: str, arguments: tuple[object, ...]) -> None:
+    created = _created.get()
+    if created is not None and event in ("open", "tempfile.mkdtemp", "tempfile.mkstemp"):
+        _note_new_file(created, event, arguments)
     effects = _observed.get()
     if effects is None or event not in _EVENTS:
         return
@@ -152,6 +187,36 @@ def running() -> frozenset[str]:
     return frozenset(threads | children)
 
 
+def open_files() -> frozenset[str]:
+    """What this process has open: files, sockets and pipes, each with its number."""
+    found: set[str] = set()
+    folder = Path("/proc/self/fd")
+    for entry in folder.iterdir() if folder.is_dir() else ():
+        try:
+            found.add(f"{entry.name} {entry.readlink()}")
+        except OSError:  # the one that lists the folder, and what other threads close meanwhile
+            continue
+    return frozenset(found)
+
+
+def check_releases(run: Callable[[], object], what: str) -> None:
+    """Raise Violation when `run` leaves threads, processes or open files behind, while what it returns is kept.
+
+    What stays open is tried a second time: libraries open some files once per process.
+    """
+    before = running()
+    for trial in range(2):
+        files = open_files()
+        kept = run()
+        check_released(before, what)
+        if wait_until(lambda files=files: open_files() <= files, RELEASE_S):  # type: ignore[misc]
+            return
+        left = sorted(open_files() - files)
+        if trial:
+            raise Violation(f"{what} leaves open: {', '.join(left)}")
+        del kept
+
+
 def check_released(before: frozenset[str], what: str) -> None:
     """Raise Violation when threads or child processes that were not `before` are still there after RELEASE_S."""
     if not wait_until(lambda: running() <= before, RELEASE_S):
@@ -171,7 +236,7 @@ def check_quick(limit_s: float, action: Callable[[], object], what: str, *, trie
 
 
 def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:
-    """Raise Violation when memory grows with every call: in each of three rounds, after one that may fill caches.
+    """Raise Violation when memory, or what is open, grows with every call, in each round after one that fills caches.
 
     Args:
         action: the call.
@@ -185,23 +250,36 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
         times_s.append(time.perf_counter() - begun_s)
     typical_s = sorted(times_s)[TRIES // 2]  # one may have found its answer waiting, or been interrupted
     calls = MANY if typical_s < QUICK_S else max(count, min(MANY, int(ROUND_S / typical_s)))
-    traced: list[int] = []
-    resident: list[int] = []
+    python_bytes = LEAK_BYTES if calls >= MANY else max(LEAK_BYTES, SLOW_LEAK_BYTES * count / calls)
+    marks: list[tuple[int, int, int]] = []
+    allowed = (python_bytes, RESIDENT_LEAK_BYTES, OPEN_FILES)
     tracemalloc.start(1)
     try:
-        for _ in range(4):
+        for _ in range(ROUNDS):
             for _ in range(calls):
                 action()
             gc.collect()
-            traced.append(tracemalloc.get_traced_memory()[0])
-            resident.append(_resident_bytes())
+            marks.append((tracemalloc.get_traced_memory()[0], _resident_bytes(), len(open_files())))
+            kept = _kept_by_each_call(marks, calls)
+            if kept is not None and (all(k <= most for k, most in zip(kept, allowed, strict=True)) or kept[2] > 0.5):
+                break  # one round that keeps nothing suffices; and of a leak of files a process has not room for more
     finally:
         tracemalloc.stop()
-    python_bytes = LEAK_BYTES if calls >= MANY else max(LEAK_BYTES, SLOW_LEAK_BYTES * count / calls)
-    for marks, allowed in ((traced, python_bytes), (resident, RESIDENT_LEAK_BYTES)):
-        kept = min(later - sooner for sooner, later in itertools.pairwise(marks)) / calls
-        if kept > allowed:
-            raise Violation(f"{what} keeps about {kept:.0f} bytes of memory with every call")
+    assert kept is not None
+    if kept[2] > OPEN_FILES:
+        raise Violation(f"{what} keeps {kept[2]:.2g} open files with every call")
+    for value, most in zip(kept[:2], allowed, strict=False):
+        if value > most:
+            raise Violation(f"{what} keeps about {value:.0f} bytes of memory with every call")
+
+
+def _kept_by_each_call(marks: list[tuple[int, int, int]], calls: int) -> tuple[float, ...] | None:
+    """Of what was marked after each round, the least that a round added, for each call; None after the first round."""
+    if len(marks) < 2:
+        return None
+    return tuple(
+        min(later - sooner for sooner, later in itertools.pairwise(each)) / calls for each in zip(*marks, strict=True)
+    )
 
 
 def _resident_bytes() -> int:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from rn_testing.case import Case
 from rn_testing.fakes import MemoryTopics
-from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.specs import CommandSpec, FeatureSpec
+from roboneuron import CommandSpec, FeatureSpec
+from roboneuron.feature import load_options_model
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from roboneuron.cli.commands import CommandModule
-    from roboneuron.server.feature import Feature
+    from roboneuron import Feature
+    from roboneuron.feature import CommandModule
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +35,10 @@ class FeatureCase(Case[FeatureSpec]):
         if not self.options:
             return {}
         return dict(self.options) if self.spec.sections else {self.spec.keys[0]: dict(self.options)}
+
+    def option_model(self) -> type[BaseModel] | None:
+        """None: a feature has defaults for all options, which the rule `feature/defaults` judges."""
+        return None
 
     def options_model(self) -> type[BaseModel] | None:
         """The class of its options."""
@@ -73,14 +77,16 @@ class CommandCase(Case[CommandSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class PackageCase:
-    """An installed distribution to examine.
+    """An installed distribution to examine, or one plugin of a distribution that has several.
 
     Attributes:
         distribution: its name.
+        plugin: name of the entry point of the one plugin; all that the distribution has when empty.
         path: where its metadata are found; the interpreter's own path when empty.
     """
 
     subject: ClassVar[str] = "package"
 
     distribution: str
+    plugin: str = ""
     path: tuple[str, ...] = ()

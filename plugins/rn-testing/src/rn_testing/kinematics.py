@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rn_testing.rule import Violation
-from roboneuron.contract import Pose, RobotProfile
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
+from roboneuron import Pose, RobotProfile, matrix_from_rotvec, quaternion_from_matrix
+from roboneuron.feature import F64
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints that have one position."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -10,14 +10,30 @@ from typing import Any, Generic, Protocol, TypeVar
 from rn_testing.attempts import attempt
 from rn_testing.cases import Case
 from rn_testing.deadline import bounded
-from rn_testing.effects import check_memory, check_released, expect_refusal, find_effects, running
+from rn_testing.effects import (
+    check_memory,
+    check_quick,
+    check_released,
+    check_releases,
+    expect_refusal,
+    find_effects,
+    running,
+)
 from rn_testing.fakes import MemoryTopics
 from rn_testing.options import OPTIONS_READ, check_options_read
-from rn_testing.rule import NotApplicable, Rule, require
-from roboneuron.errors import RoboNeuronError, StateError
+from rn_testing.process_state import find_changes
+from rn_testing.refusals import SECRET, check_error, check_missing_files, secret_options, secrets
+from rn_testing.rule import NotApplicable, Rule, Violation, require
+from roboneuron import RoboNeuronError, StateError
 
 PURE = "The constructor opens no file, starts no thread or process and computes nothing that takes time."
 """Text of the rule `constructor-pure`."""
+ALONE = (
+    "It leaves the process as it was: folder, environment, signals, global random generators, logging, standard output."
+)
+"""Text of the rule `process-left-alone`."""
+CONSTRUCTOR_S = 1.0
+"""Bound on the quickest of some constructors: they return at once, and a busy machine slows one, not all."""
 
 
 class Closable(Protocol):
@@ -61,6 +77,7 @@ def check_pure_constructor(case: Case[Any]) -> None:
     _, effects = find_effects(attempt(case, case.prepare))
     del first
     require(not effects, f"the constructor {'; '.join(effects)}")
+    check_quick(CONSTRUCTOR_S, build, "the constructor")
 
 
 def _methods(protocol: type) -> list[str]:
@@ -77,6 +94,8 @@ class Lifecycle(Generic[CaseT, C]):
         begin: name of the method that starts it.
         start: starts what the case built; raises NotApplicable when the case has nothing to start it with.
         uses: by name of a method, one use of it, which needs what was started. The first is the one that is tried most.
+        abuses: calls with wrong arguments, which it refuses.
+        besides: names of methods without arguments that are called too where the process is watched.
         repeat: how many uses are one round of the memory rule.
     """
 
@@ -85,6 +104,8 @@ class Lifecycle(Generic[CaseT, C]):
     begin: str
     start: Callable[[CaseT, C], None]
     uses: Mapping[str, Callable[[CaseT, C], object]]
+    abuses: Sequence[Callable[[CaseT, C], object]] = ()
+    besides: Sequence[str] = ()
     repeat: int = 20
 
     @contextmanager
@@ -130,13 +151,13 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 "close-releases",
-                f"After `{begin}`, `close` may be called twice and leaves no thread or process behind.",
+                f"After `{begin}`, `close` may be called twice and leaves no thread, process or open file behind.",
                 self._check_release,
                 ".close",
             ),
             rule(
                 f"second-{begin}-safe",
-                f"A second `{begin}` is refused or changes nothing; one `close` releases all.",
+                f"A second `{begin}` changes nothing or is a StateError; one `close` releases all.",
                 self._check_second_start,
                 f".{begin}",
             ),
@@ -148,9 +169,21 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 "memory-bounded",
-                f"Memory does not grow with every `{self._name}`.",
+                f"Memory and open files do not grow with every `{self._name}`.",
                 self._check_memory,
                 f".{self._name}",
+            ),
+            rule("process-left-alone", ALONE, self._check_process),
+            rule(
+                "errors-readable",
+                "Its errors are short and hold no secret of options or environment.",
+                self._check_errors,
+            ),
+            rule(
+                "missing-file-refused",
+                "An option that names a file which is not there leads to an error of roboneuron.errors, or to none.",
+                self._check_missing_files,
+                f".{begin}",
             ),
             *(
                 rule(
@@ -190,17 +223,29 @@ class Lifecycle(Generic[CaseT, C]):
         subject.close()
 
     def _check_release(self, case: CaseT) -> None:
-        before = running()
-        with self.running(case) as subject:
-            pass
-        subject.close()
-        check_released(before, "close()")
+        def run() -> C:
+            with self.running(case) as subject:
+                self._use_all(case, subject)
+            subject.close()
+            return subject
+
+        check_releases(run, "close()")
+
+    def _use_all(self, case: CaseT, subject: C) -> None:
+        for one in self.uses.values():
+            with suppress(NotApplicable, RoboNeuronError):  # whether it works is for other rules
+                one(case, subject)
 
     def _check_second_start(self, case: CaseT) -> None:
         before = running()
         with self.running(case) as subject:
-            with suppress(RoboNeuronError):
+            try:
                 self.start(case, subject)
+            except StateError:
+                pass
+            except RoboNeuronError as error:
+                what = f"a second {self.begin}() raised {type(error).__name__}: {error}"
+                raise Violation(f"{what}; expected nothing, or a StateError") from error
             self._use(case, subject)
         check_released(before, f"close() after a second {self.begin}()")
         expect_refusal(lambda: self._use(case, subject), f"{self._name} after close", StateError)
@@ -216,6 +261,54 @@ class Lifecycle(Generic[CaseT, C]):
             self._use(case, subject)
         finally:
             subject.close()
+
+    def _check_process(self, case: CaseT) -> None:
+        attempt(case, attempt(case, case.prepare))
+
+        def run() -> None:
+            with self.running(case) as subject:
+                self._use_all(case, subject)
+                for name in self.besides:
+                    getattr(subject, name)()
+
+        changes = find_changes(run)
+        require(not changes, f"it {'; '.join(changes)}")
+
+    def _check_missing_files(self, case: CaseT) -> None:
+        def use(changed: Case[Any]) -> None:
+            with self.running(changed) as subject:  # type: ignore[arg-type]
+                self._use(changed, subject)  # type: ignore[arg-type]
+
+        check_missing_files(case, use)
+
+    def _check_errors(self, case: CaseT) -> None:
+        """With a secret in every option and variable that may hold one, whatever it raises is read."""
+        hidden = dict.fromkeys(secret_options(case), SECRET)
+        errors: list[BaseException] = []
+
+        def provoke(call: Callable[[], object]) -> None:
+            try:
+                call()
+            except NotApplicable:
+                return
+            except Exception as error:  # whether it is the right one is for other rules
+                errors.append(error)
+
+        with secrets():
+            try:
+                subject = self.built(case.with_options(hidden))
+            except RoboNeuronError:  # an option refuses the value
+                subject = self.built(case)
+            try:
+                provoke(lambda: self._use(case, subject))
+                provoke(lambda: self.start(case, subject))
+                for abuse in (*self.abuses, *self.uses.values()):
+                    provoke(lambda abuse=abuse: abuse(case, subject))  # type: ignore[misc]
+            finally:
+                subject.close()
+            provoke(lambda: self._use(case, subject))
+        for error in errors:
+            check_error(error)
 
     def _check_memory(self, case: CaseT) -> None:
         build = attempt(case, lambda: case.prepare(MemoryTopics(history=1)))

@@ -8,8 +8,17 @@ from typing import Any, ClassVar, cast
 
 from rn_testing.case import Case
 from rn_testing.fakes import MemoryTopics, make_observation
-from roboneuron.contract import Acceleration, AnyAcceleration, AnyRuntime, Backend, Observation, Runtime
-from roboneuron.plugins.specs import AccelerationSpec, BackendSpec, RuntimeSpec
+from roboneuron import (
+    Acceleration,
+    AccelerationSpec,
+    AnyAcceleration,
+    AnyRuntime,
+    Backend,
+    BackendSpec,
+    Observation,
+    Runtime,
+    RuntimeSpec,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +34,7 @@ class BackendCase(Case[BackendSpec]):
             opening]; less than without conditioning. Required of such a backend.
         observe_next: makes what is seen after that, for rules about rows that are played meanwhile; with negative
             pictures and another instruction when None.
+        rows: how many actions a chunk has; when None those of the option that says so, or of the descriptor.
     """
 
     subject: ClassVar[str] = "backend"
@@ -35,6 +45,7 @@ class BackendCase(Case[BackendSpec]):
     predict_limit_s: float = 1.0
     row_tolerance: float | None = None
     observe_next: Callable[[], Observation] | None = None
+    rows: int | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the inference module calls it."""

@@ -10,11 +10,14 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 
-from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.descriptor import NAME_PATTERN
-from roboneuron.plugins.specs import KINDS
+from roboneuron import ConfigurationError
+from roboneuron.feature import NAME_PATTERN, PLUGIN_KINDS
 
-PREFIXES = {kind: "accel" if kind == "acceleration" else kind for kind in KINDS}
+BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval"}
+"""Kinds whose hook another package brings, with that package."""
+NEW_KINDS = sorted([*PLUGIN_KINDS, *BROUGHT])
+"""Kinds that there are templates for."""
+PREFIXES = {kind: "accel" if kind == "acceleration" else kind for kind in NEW_KINDS}
 """Middle part of the distribution's name: rn-<prefix>-<name>."""
 
 
@@ -23,7 +26,7 @@ class New:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron new`."""
-        parser.add_argument("kind", choices=sorted(KINDS), metavar="KIND", help=f"one of {', '.join(sorted(KINDS))}")
+        parser.add_argument("kind", choices=NEW_KINDS, metavar="KIND", help=f"one of {', '.join(NEW_KINDS)}")
         parser.add_argument("name", metavar="NAME", help="what users will choose it by, such as my-policy")
         parser.add_argument("--directory", type=Path, metavar="DIR", help="where to write (./rn-KIND-NAME)")
 
@@ -55,6 +58,8 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
         raise ConfigurationError(f"{directory} exists and is not empty.", hint="Name another one with --directory.")
     words = {"kind": kind, "name": name, "distribution": f"rn-{PREFIXES[kind]}-{name}", "package": package}
     words |= {"cls": class_name, "tool": name.replace("-", "_")}
+    needed = ["roboneuron-core", *([BROUGHT[kind]] if kind in BROUGHT else [])]
+    words["dependencies"] = ", ".join(f'"{other}>=0.1,<0.2"' for other in needed)
     templates = files("rn_testing") / "templates"
     written = [_write(directory / "src" / package / "py.typed", "")]
     for folder in ("common", kind):

@@ -13,7 +13,7 @@ from rn_testing.rule import NotApplicable, require
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-OPTIONS_READ = "The options are read: each that the case sets, or at least one."
+OPTIONS_READ = "The options are read, each that the case sets or at least one, and not written to."
 """Text of the rule `options-read`."""
 
 
@@ -27,6 +27,7 @@ def check_options_read(
     read: set[str] = set()
     names: set[str] = set()
     judged: set[str] = set()
+    kept: list[tuple[BaseModel, object]] = []
 
     def configure(options: object) -> object:
         if options is None:
@@ -35,15 +36,24 @@ def check_options_read(
         names.update(model.model_fields)
         if not model.__pydantic_decorators__.model_validators:
             judged.update(case.option_names() & names)
-        return _record_reads(options, read)  # type: ignore[arg-type]
+        recording = _record_reads(options, read)  # type: ignore[arg-type]
+        kept.append((recording, _written(recording)))
+        return recording
 
     build = attempt(case, lambda: case.prepare(topics, configure))
     if not names:
         raise NotApplicable("there are no options")
     use(build)
+    changed = [type(options).__name__ for options, before in kept if _written(options) != before]
+    require(not changed, f"the options of {', '.join(changed)} are written to; they belong to the caller")
     ignored = sorted(judged - read)
     require(not ignored, f"the options {', '.join(ignored)} are set and never read")
     require(bool(read), f"none of the options {', '.join(sorted(names))} is read")
+
+
+def _written(options: BaseModel) -> dict[str, str]:
+    """Each option as text; what a value remembers of itself (a path, its parts) is no change."""
+    return {name: repr(value) for name, value in options.__dict__.items()}
 
 
 def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:

@@ -8,16 +8,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import tomllib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rn_console.chosen_plugins import add_config, find, read_disabled
-from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.registry import Registry, Status
-from roboneuron.plugins.specs import KINDS
+from rn_standard.console.chosen_plugins import add_config, find, read_disabled
+from rn_standard.console.plugin_options import add_option, read_options
+from roboneuron import ConfigurationError
+from roboneuron.feature import PLUGIN_KINDS, Registry, Status, discover
 
 SCHEMA_VERSION = 1
 """Raised when a key of the JSON document changes its meaning or goes."""
@@ -32,7 +30,7 @@ class Result:
     """One line of the table.
 
     Attributes:
-        subject: the distribution, or kind and name of an offer.
+        subject: the plugin, or kind and name of an offer.
         rule: the rule's id.
         text: what it demands.
         verdict: "passed", "failed", "skipped"; "timeout" or "crashed" for the rule during which the process was lost.
@@ -53,13 +51,13 @@ class PluginsCheck:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron plugins check`."""
-        parser.add_argument("name", metavar="NAME", help="a distribution (rn-robot-fr3) or an offer (fr3)")
+        parser.add_argument("name", metavar="NAME", help="a plugin (rn-robot-fr3), a distribution or an offer (fr3)")
         add_config(parser)
-        parser.add_argument("--kind", choices=sorted(KINDS), help="check offers of this kind only")
+        parser.add_argument("--kind", choices=sorted(PLUGIN_KINDS), help="check offers of this kind only")
+        add_option(parser, "all that is checked")
         parser.add_argument(
-            "--option", action="append", default=[], metavar="KEY=VALUE", help="option of the plugin; VALUE as in TOML"
+            "--timeout-s", type=float, default=120.0, metavar="SECONDS", help="bound for the whole (120)"
         )
-        parser.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="bound for the whole (120)")
         parser.add_argument("--json", action="store_true", help="machine-readable results")
 
     def run(self, arguments: Namespace) -> int:
@@ -69,7 +67,7 @@ class PluginsCheck:
             arguments.name,
             kind=arguments.kind,
             options=arguments.option,
-            timeout_s=arguments.timeout,
+            timeout_s=arguments.timeout_s,
             as_json=arguments.json,
         )
 
@@ -80,11 +78,17 @@ def check(
     """Run the rules for what `name` means, print the results and return the exit status: 0 when nothing failed.
 
     Raises:
-        ConfigurationError: nothing has that name, or an option is not KEY=VALUE.
+        ConfigurationError: nothing has that name, or an option is malformed or of something else.
     """
-    parsed = parse_options(options)
+    given = read_options(options, "")
+    found = find(registry, name, kind)
+    names = sorted({o.spec.name for _, offers in found for o in offers})
+    for unknown in set(given) - {"", *names}:
+        raise ConfigurationError(
+            f"--option names {unknown!r}, which is not checked.", hint=f"Checked: {', '.join(names) or 'nothing'}."
+        )
     results: list[Result] = []
-    for record, offers in find(registry, name, kind):
+    for record, offers in found:
         usable = [o for o in offers if o.status is Status.READY]
         results += [
             Result(
@@ -99,8 +103,9 @@ def check(
         ]
         request = {
             "distribution": record.distribution,
+            "plugin": record.name,
             "offers": [(o.spec.kind, o.spec.name) for o in usable],
-            "options": parsed,
+            "options": given,
         }
         results += run_worker(json.dumps(request), timeout_s)
     if as_json:
@@ -109,20 +114,6 @@ def check(
     else:
         _print(results)
     return 0 if all(r.verdict in ("passed", "skipped") for r in results) else 1
-
-
-def parse_options(words: Sequence[str]) -> dict[str, object]:
-    """KEY=VALUE pairs with TOML values; a value that is no TOML is taken as text."""
-    parsed: dict[str, object] = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not equals or not key.isidentifier():
-            raise ConfigurationError(f"--option {word!r} is malformed, expected KEY=VALUE such as gain=0.5.")
-        try:
-            parsed[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            parsed[key] = value
-    return parsed
 
 
 def run_worker(request: str, timeout_s: float) -> list[Result]:
@@ -134,13 +125,13 @@ def run_worker(request: str, timeout_s: float) -> list[Result]:
         tempfile.TemporaryDirectory(prefix="roboneuron-check-", ignore_cleanup_errors=True) as scratch,
     ):
         process = subprocess.Popen(
-            [sys.executable, "-m", WORKER],
+            [sys.executable, "-P", "-m", WORKER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,
             start_new_session=True,
-            env={**os.environ, "TMPDIR": scratch},
+            env={**os.environ, "TMPDIR": scratch, "PYTHONSAFEPATH": "1"},  # no file here stands for a module
         )
         lost = ""
         try:

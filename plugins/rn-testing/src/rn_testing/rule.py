@@ -64,7 +64,14 @@ class Outcome:
 
 
 def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
-    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a failure."""
+    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a failure.
+
+    Where the case lacks options that its plugin requires, the rule about that fails; those that build it are skipped.
+    """
+    from rn_testing.case_options import RULE_ID, missing_options  # which needs this module
+
+    if not rule.id.startswith("descriptor/") and missing_options(case):
+        return Outcome(rule=rule.id, verdict=Verdict.SKIPPED, detail=f"the case lacks options, see {RULE_ID}")
     try:
         run_bounded(lambda: rule.check(case))
     except Overdue as overdue:

@@ -20,7 +20,7 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
     if isinstance(value, _PLAIN):
         return value
     if isinstance(value, float):
-        return repr(value)
+        return "float", repr(value)
     if id(value) in _seen:
         return "..."
     seen = _seen | {id(value)}
@@ -41,7 +41,10 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
 
 
 def is_alike(a: Any, b: Any) -> bool:
-    """Whether two answers agree within rounding; fields named `metrics` (times) are not compared."""
+    """Whether two answers agree within rounding, in kind too: "3.0" is not 3.0, and True is not 1.
+
+    Fields named `metrics` (times) are not compared.
+    """
     if is_dataclass(a) and type(a) is type(b):
         names = (f.name for f in fields(a) if f.name != "metrics")
         return all(is_alike(getattr(a, name), getattr(b, name)) for name in names)
@@ -49,11 +52,31 @@ def is_alike(a: Any, b: Any) -> bool:
         return a.keys() == b.keys() and all(is_alike(a[key], b[key]) for key in a if key != "metrics")
     if isinstance(a, (list, tuple)) and type(a) is type(b):
         return len(a) == len(b) and all(is_alike(x, y) for x, y in zip(a, b, strict=True))
+    a, b = (value.item() if isinstance(value, np.generic) else value for value in (a, b))
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
         return math.isclose(a, b, rel_tol=RTOL, abs_tol=ATOL) or (a != a and b != b)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return a.shape == b.shape and bool(np.allclose(a, b, rtol=RTOL, atol=ATOL, equal_nan=True))
+        if a.shape != b.shape or a.dtype.kind != b.dtype.kind:
+            return False
+        if a.dtype.kind not in "iufc":
+            return bool(np.array_equal(a, b))
+        return bool(np.allclose(a, b, rtol=RTOL, atol=ATOL, equal_nan=True))
     return snapshot(a) == snapshot(b)
+
+
+def has_nan(value: object) -> bool:
+    """Whether a number in `value`, in its fields, items or arrays, is not a number."""
+    if isinstance(value, float):
+        return math.isnan(value)
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "fc" and bool(np.isnan(value).any())
+    if is_dataclass(value) and not isinstance(value, type):
+        return any(has_nan(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, Mapping):
+        return any(has_nan(item) for item in value.values())
+    return isinstance(value, (list, tuple)) and any(has_nan(item) for item in value)
 
 
 def _array(value: Any) -> object:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -93,6 +94,22 @@ class LeavesThread(Good):
         threading.Thread(target=self._end.wait, args=(30.0,), name="forgotten").start()
 
 
+class StartsForEver(Good):
+    def start(self, host: Host) -> None:
+        threading.Event().wait(30.0)
+
+
+class Prints(Good):
+    def start(self, host: Host) -> None:
+        print("wheels are counted")
+
+
+class TakesSignals(Good):
+    def tools(self, host: Host) -> list[Tool[Any]]:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return super().tools(host)
+
+
 class CloseNeedsStart(Good):
     def close(self) -> None:
         self._thread.join()  # type: ignore[attr-defined]
@@ -119,6 +136,22 @@ class RunsAProcess(GoodCommand):
 
     def __init__(self) -> None:
         subprocess.run([sys.executable, "-c", ""], check=True)
+
+
+class ReadsForHelp(GoodCommand):
+    """Reads a file to declare its arguments."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        Path("/proc/version").read_text()
+        super().configure(parser)
+
+
+class PrintsForHelp(GoodCommand):
+    """Prints while it declares its arguments."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        print("greet!")
+        super().configure(parser)
 
 
 class NoHelp(GoodCommand):

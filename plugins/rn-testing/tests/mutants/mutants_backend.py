@@ -376,4 +376,6 @@ def raise_state():
 
 
 def __getattr__(name):
+    if name not in MUTANTS:
+        raise AttributeError(name)
     return MUTANTS[name].target

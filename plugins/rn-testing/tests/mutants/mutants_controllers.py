@@ -298,4 +298,6 @@ MUTANTS: dict[str, Mutant] = {
 
 
 def __getattr__(name):
+    if name not in MUTANTS:
+        raise AttributeError(name)
     return MUTANTS[name].target

@@ -20,6 +20,14 @@ class BareOptions(BaseModel):
     delta_m: float = 0.001
 
 
+class Demanding(BaseModel):
+    """Nothing can be built without a topic."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    topic: str = Field(description="topic of the images")
+
+
 class BadDefaults(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
@@ -69,6 +77,7 @@ MUTANTS: dict[str, Mutant] = {
     "restricted_unmarked_in_a_table": but("restricted-options-marked", config="mutants_descriptors:UnmarkedTable"),
     "case_absent": but("case-found", case="mutants_descriptors:absent"),
     "case_not_callable": but("case-found", case="mutants_descriptors:not_callable"),
+    "case_without_what_is_required": but("case-options", config="mutants_descriptors:Demanding"),
 }
 
 

@@ -285,4 +285,6 @@ MUTANTS = {f"runtime_{n}": m for n, m in RUNTIMES.items()} | {f"acceleration_{n}
 
 
 def __getattr__(name):
+    if name not in MUTANTS:
+        raise AttributeError(name)
     return MUTANTS[name].target

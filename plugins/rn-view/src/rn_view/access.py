@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rn_serve_http.addresses import bind
-from rn_serve_http.options import HttpOptions
-from rn_serve_http.origins import HostRules
-from rn_serve_http.tokens import TokenTable
+from rn_standard.http import addresses
+from rn_standard.http.options import HttpOptions
+from rn_standard.http.origins import HostRules
+from rn_standard.http.tokens import TokenTable
 from rn_view.options import ViewOptions
-from roboneuron.server.access import LOCAL_PROCESS, Holder
+from roboneuron.feature import LOCAL_PROCESS, Holder
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
@@ -52,12 +52,21 @@ def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:
 
 
 def check_address(options: ViewOptions, tokens: TokenTable) -> None:
-    """Check that the page may be served on its address and that its port is free.
+    """Check that the page may be served on its address; a running server may hold its port.
 
     Raises:
-        ConfigurationError: as `rn_serve_http.addresses.bind`.
+        ConfigurationError: as `rn_standard.http.addresses.check_address`.
     """
-    bind("view", options.host, options.port, tokens).close()
+    addresses.check_address("view", options.host, options.port, tokens)
+
+
+def check_port(options: ViewOptions, tokens: TokenTable) -> None:
+    """Check that the page can be served here and now: as `check_address`, and its port is free.
+
+    Raises:
+        ConfigurationError: as `rn_standard.http.addresses.bind`.
+    """
+    addresses.bind("view", options.host, options.port, tokens).close()
 
 
 def _bracketed(name: str) -> str:

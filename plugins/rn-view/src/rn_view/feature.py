@@ -5,30 +5,36 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import threading
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from anyio import from_thread
 
-from rn_serve_http.feature import HttpFeature
-from rn_serve_http.options import HttpOptions
-from rn_serve_http.plugin import FEATURE as HTTP
-from rn_serve_http.tokens import TokenFiles, read_tokens
-from rn_view.access import Admission, check_address, host_rules
+from rn_standard.http.feature import HttpFeature
+from rn_standard.http.options import HttpOptions
+from rn_standard.http.plugin import FEATURE as HTTP
+from rn_standard.http.tokens import TokenFiles, read_tokens
+from rn_view.access import Admission, check_address, check_port, host_rules
 from rn_view.happenings import ToolCalls
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.options import ViewOptions
 from roboneuron import Feature, Host, Tool
-from roboneuron.config import Config, feature_options
+from roboneuron.feature import Config, feature_options
 
 if TYPE_CHECKING:
     from rn_view.viewer import Viewer
+
+HEARTBEAT = "heartbeat"
+"""Of rn-serve-http: it only renews the lease."""
 
 
 class ViewFeature(Feature[ViewOptions]):
     """Serves the page when `[view] enabled` says so."""
 
     viewer: Viewer | None = None
+    _shared: _SharedPage | None = None
 
     def check(self, config: Config) -> None:
         """Check address, tokens and hosts, when they will be used."""
@@ -37,22 +43,26 @@ class ViewFeature(Feature[ViewOptions]):
             host_rules(self.options, http)
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
+    def reserve(self, config: Config) -> None:
+        """Refuse to start beside another server that serves its page on this port."""
+        if self.options.enabled:
+            http = cast(HttpOptions, feature_options(HTTP, config))
+            check_port(self.options, read_tokens(http.tokens, os.environ))
+
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None; what happens is listened to from now on."""
         if self.options.enabled:
             self._source = LiveSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
-            calls = ToolCalls(self._source.happenings)
+            calls = ToolCalls(self._source.happenings, partial(_is_quiet, host))
             host.events.open.listen(lambda: host.server.middleware.append(calls))  # not there before
         return ()
 
     def start(self, host: Host) -> None:
-        """Begin to serve the page."""
+        """Begin to serve the page; robots with the same address share one, with a choice of the robot."""
         if not self.options.enabled:
             return
-        from rn_view.viewer import Viewer  # heavy
-
         http = host.feature("http", HttpFeature)
         admission = Admission(
             tokens=TokenFiles(http.options.tokens, os.environ), rules=host_rules(self.options, http.options)
@@ -60,10 +70,51 @@ class ViewFeature(Feature[ViewOptions]):
         operator = LiveOperator(host, http.lease)
         with contextlib.suppress(RuntimeError):  # not called by a server that serves
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
-        self.viewer = Viewer(self.options, self._source, admission, operator)
-        self.viewer.open()
+        self._shared = _SharedPage.join(self.options, host.config.namespace, self._source, admission, operator)
+        self.viewer = self._shared.viewer
 
     def close(self) -> None:
-        """End the page."""
-        if self.viewer is not None:
-            self.viewer.close()
+        """End the page, with the first robot that shares it: the server is being closed."""
+        if self._shared is not None:
+            self._shared.close()
+
+
+class _SharedPage:
+    """The page of all robots of this process whose configuration names the same address: it can be bound only once."""
+
+    _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}
+    _lock: ClassVar[threading.Lock] = threading.Lock()
+
+    def __init__(self, viewer: Viewer, address: tuple[str, int]) -> None:
+        self.viewer = viewer
+        self._address = address
+
+    @classmethod
+    def join(
+        cls, options: ViewOptions, name: str, source: LiveSource, admission: Admission, operator: LiveOperator
+    ) -> _SharedPage:
+        """The page at that address, which shows this robot from now on."""
+        from rn_view.viewer import Viewer  # heavy
+
+        address = options.host, options.port
+        with cls._lock:
+            found = cls._in_use.get(address)
+            if found is not None:
+                found.viewer.join(name, source, operator)
+                return found
+            made = cls(Viewer(options, {name: source}, admission, operator), address)
+            made.viewer.open()
+            cls._in_use[address] = made
+            return made
+
+    def close(self) -> None:
+        """End it; idempotent."""
+        with self._lock:
+            if self._in_use.get(self._address) is self:
+                del self._in_use[self._address]
+        self.viewer.close()
+
+
+def _is_quiet(host: Host, name: str) -> bool:
+    tool = host.tools.get(name)
+    return tool is not None and (tool.read_only or name == HEARTBEAT)

@@ -74,17 +74,25 @@ class Happenings:
 
 
 class ToolCalls:
-    """Middleware of the MCP server: adds each tool call when it begins and when it ends."""
+    """Middleware of the MCP server: adds each tool call when it begins and when it ends.
 
-    def __init__(self, happenings: Happenings) -> None:
+    Args:
+        happenings: where it is added.
+        is_quiet: of which tools only failures are added: those that only read, which agents call all the time.
+    """
+
+    def __init__(self, happenings: Happenings, is_quiet: Callable[[str], bool] = lambda tool: False) -> None:
         self._happenings = happenings
+        self._is_quiet = is_quiet
 
     async def __call__(self, ctx: Any, call_next: Callable[[Any], Awaitable[Any]]) -> Any:
         """See `mcp.server.context.ServerMiddleware`."""
         if ctx.method != "tools/call" or not ctx.params:
             return await call_next(ctx)
         call = f"{ctx.params.get('name')}({shown_arguments(ctx.params.get('arguments'))})"
-        self._happenings.add("tool", f"{call} ...")
+        is_quiet = self._is_quiet(str(ctx.params.get("name")))
+        if not is_quiet:
+            self._happenings.add("tool", f"{call} ...")
         begun_s = time.monotonic()
         try:
             result = await call_next(ctx)
@@ -93,7 +101,8 @@ class ToolCalls:
             raise
         took = f"{time.monotonic() - begun_s:.2f} s"
         failure = failure_of(result)
-        self._happenings.add("tool", f"{call}: {failure or 'done'}, {took}", is_bad=bool(failure))
+        if failure or not is_quiet:
+            self._happenings.add("tool", f"{call}: {failure or 'done'}, {took}", is_bad=bool(failure))
         return result
 
 

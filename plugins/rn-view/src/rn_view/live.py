@@ -12,17 +12,22 @@ from typing import Any, TypeVar, cast
 import anyio
 from anyio import to_thread
 
-from rn_serve_http.operator_lease import OperatorLease
+from rn_standard.http.operator_lease import OperatorLease
 from rn_view.happenings import AuditTail, Happenings, add_record, failure_of
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import Host, RobotProfile
-from roboneuron.config import Config
-from roboneuron.modules.settings import ModuleKind
-from roboneuron.plugins.loading import load_target
-from roboneuron.plugins.registry import Registry
-from roboneuron.server.access import Holder
-from roboneuron.server.results import ModuleStatus, module_status
-from roboneuron.supervisor.health import FAULTS, Health, ModuleView
+from roboneuron.feature import (
+    FAULTS,
+    Config,
+    Health,
+    Holder,
+    ModuleKind,
+    ModuleStatus,
+    ModuleView,
+    Registry,
+    load_target,
+    module_status,
+)
 
 T = TypeVar("T")
 M = TypeVar("M")
@@ -77,6 +82,10 @@ class LiveSource:
             cause=stop.cause() if is_latched else "",
             instruction=instruction,
         )
+
+    def is_latched(self) -> bool:
+        """See Source."""
+        return self._host.loop.emergency_stop.is_latched()
 
     def look(self) -> None:
         """See Source."""
@@ -177,4 +186,8 @@ class _Context:
 
     async def ask(self, question: str) -> bool | None:
         """See CallContext; a button asks nothing, so the emergency stop is not released here."""
+        return None
+
+    async def ask_for(self, question: str, what: str) -> str | None:
+        """See CallContext; as `ask`."""
         return None

@@ -10,9 +10,10 @@ from rn_view.happenings import Happening
 from rn_view.playback import Mark, Playback
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import RobotProfile
-from roboneuron.supervisor.health import EXPLANATIONS, FAULTS
+from roboneuron.feature import EXPLANATIONS, FAULTS
 
-_GOOD, _IDLE, _BAD, _STARTING = "#2b8a3e", "#868e96", "#c92a2a", "#e67700"
+_GOOD, _IDLE, _BAD, _STARTING = "#237032", "#555c63", "#b01e1e", "#9c5200"
+"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA: 4.5)."""
 _SMALL = "font-size:12px;line-height:1.35"
 STYLE = '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
 """On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is as wide as the page."""
@@ -30,6 +31,15 @@ def stop_text(snapshot: Snapshot | None, label: str) -> str:
     return (
         f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP LATCHED</b>{cause}. '
         "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
+    )
+
+
+def full_text(most: int) -> str:
+    """Why a page shows the stop only."""
+    return _line(
+        "font-size:14px",
+        f"{most} pages are open, which is <code>max_viewers</code> of [view]. This one has the emergency stop only. "
+        "Close another one and load this one again.",
     )
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_view.source import Source
-from roboneuron import RobotProfile
-from roboneuron.contract import frame_from_buffer
+from roboneuron import RobotProfile, frame_from_buffer
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped

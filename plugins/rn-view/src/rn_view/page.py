@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -19,12 +18,12 @@ from rn_view.player import Player
 from rn_view.plots import History, Plots
 from rn_view.scene import Scene
 from rn_view.source import Snapshot, Source
-from roboneuron import RoboNeuronError, RobotProfile
-from roboneuron.gate.roles import OPERATOR, has_role
-from roboneuron.server.access import Holder
+from roboneuron import RobotProfile
+from roboneuron.feature import OPERATOR, Holder, has_role
 
-log = logging.getLogger(__name__)
 _LEFT_PX = 310
+_PHONE_PX, _WIDE_PX = 576, 1100
+"""Between these widths cameras, plots and joints are in the panel on the right: the robot has no room between two."""
 _LINES = 40
 _MODULES = ("robot", "perception", "control", "inference")
 _JPEG_QUALITY = 80
@@ -53,15 +52,16 @@ class Operator(Protocol):
 class Page:
     """The page of one client.
 
-    The stop button is there from the beginning; everything else when it is known who looks.
+    The stop button is above it, see `stop_bar`; everything else comes when it is known who looks.
     """
 
     def __init__(
-        self, client: viser.ClientHandle, sources: Mapping[str, Source], operator: Operator | None,
+        self, client: viser.ClientHandle, sources: Mapping[str, Source], operators: Mapping[str, Operator],
         admit: Callable[[str], Holder | None], on_choice: Callable[[Page], object],
     ) -> None:  # fmt: skip
         """Args:
         sources: what can be shown by the robot's name, the first one first; of several one is chosen.
+        operators: call tools for the buttons, by the robot's name; of a robot without one there are none.
         admit: whose token a text is; None for nobody's.
         on_choice: called when another robot was chosen.
         """
@@ -69,7 +69,8 @@ class Page:
         self.holder: Holder | None = None
         self._sources = sources
         self._source = next(iter(sources.values()))
-        self._operator = operator
+        self._operators = operators
+        self._operator = operators.get(next(iter(sources)))
         self._admit = admit
         self._lock = threading.Lock()
         self._content: _Content | None = None
@@ -78,19 +79,18 @@ class Page:
         self._is_gone = False
         self._presence = ExitStack()
         self._stop_text: Any = None
+        self._full_text: Any = None
         client.gui.add_html(markup.STYLE)
         self._choice: Any = None
         if len(sources) > 1:
             self._choice = client.gui.add_dropdown("Robot", tuple(sources), initial_value=next(iter(sources)))
             self._choice.on_update(lambda _: on_choice(self))
         if self._source.playback is None:
-            button = client.gui.add_button("EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP)
-            button.on_click(lambda _: self._press_stop())
             self._stop_text = client.gui.add_html(markup.stop_text(None, self._source.label))
 
     @property
     def robot(self) -> str:
-        """The robot that the page says it shows, which is the one that its emergency stop stops."""
+        """The robot that the page says it shows."""
         first = next(iter(self._sources))
         chosen = first if self._choice is None else str(self._choice.value)
         return chosen if chosen in self._sources else first
@@ -131,11 +131,18 @@ class Page:
         with self._lock:
             self._content = _Content(self.client, self._source, profile, history, buttons)
 
+    def say_full(self, most: int) -> None:
+        """Too many pages are open for this one to show more than the stop."""
+        if self._full_text is None:
+            self._full_text = self.client.gui.add_html(markup.full_text(most))
+
     def change(self) -> None:
         """Take away what is shown of the robot before; `show` shows the one that was chosen."""
+        self._leave_robot()
         with self._lock:
             content, self._content = self._content, None
             self._source = self._sources[self.robot]
+            self._operator = self._operators.get(self.robot)
             if self._stop_text is not None:
                 self._stop_text.content = markup.stop_text(None, self._source.label)
             if content is not None:
@@ -172,19 +179,12 @@ class Page:
     def leave(self) -> None:
         """The client is gone."""
         self._is_gone = True
+        self._leave_robot()
+
+    def _leave_robot(self) -> None:
         self._presence.close()
         if self._operator is not None and self.holder is not None:
             self._operator.leave(self.holder)
-
-    def _press_stop(self) -> None:
-        who = self.holder.who if self.holder is not None else f"a view without a token ({self.client.client_id})"
-        robot = self.robot
-        what = f"Emergency stop of {robot}" if self._choice is not None else "Emergency stop"
-        try:
-            self.tell(what, self._sources[robot].press_stop(who), is_bad=False)
-        except RoboNeuronError as error:
-            log.error("%s", error)
-            self.tell(what, str(error), is_bad=True)
 
     def _call(self, tool: str, arguments: dict[str, Any]) -> None:
         assert self._operator is not None
@@ -212,15 +212,15 @@ class _Content:
         self._player = Player(gui, source.playback) if source.playback is not None else None
         self._client = client
         self._instruction = gui.add_html("")
-        if call is not None:
-            self._add_buttons(call)
+        buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
+        is_narrow = _PHONE_PX < client.camera.image_width < _WIDE_PX
+        tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
         with folder:
             self._list = gui.add_html("")
-        left = gui.add_panel()
-        self._parts = (self._instruction, self._modules, folder, left)
-        with left.add_tab("Cameras"):
+        self._parts = (self._instruction, *buttons, self._modules, folder, tabs)
+        with tabs.add_tab("Cameras"):
             self._images = {
                 camera.name: gui.add_image(
                     np.full((_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3), 40, dtype=np.uint8),
@@ -232,17 +232,18 @@ class _Content:
             }
             if not profile.cameras:
                 gui.add_markdown("This robot has no camera.")
-        with left.add_tab("Plots"):
+        with tabs.add_tab("Plots"):
             self._plots = Plots(gui)
-        with left.add_tab("Joints"):
+        with tabs.add_tab("Joints"):
             self._joints = gui.add_html("")
-        left.dock_left()
-        left.set_width(_LEFT_PX)
+        if not isinstance(tabs, viser.GuiTabGroupHandle):
+            tabs.dock_left()
+            tabs.set_width(_LEFT_PX)
         self.scene = Scene(client, profile, source.config())
         self._count = -1
 
     def remove(self) -> None:
-        """Take it off the page: of a robot among several, which has neither buttons nor a player."""
+        """Take it off the page: of a robot among several, which has no player."""
         for part in self._parts:
             part.remove()
         self._client.scene.reset()
@@ -264,7 +265,7 @@ class _Content:
         if in_scene:
             self.scene.show_picture(camera, pixels)
 
-    def _add_buttons(self, call: Callable[[str, dict[str, Any]], None]) -> None:
+    def _add_buttons(self, call: Callable[[str, dict[str, Any]], None]) -> Any:
         gui = self._gui
         with gui.add_form("Operate") as form:
             text = gui.add_text("Instruction", "")
@@ -277,3 +278,4 @@ class _Content:
         start.on_click(lambda _: call(f"start_{start.value}", {}))
         stop.on_click(lambda _: call(f"stop_{stop.value}", {}))
         take.on_click(lambda _: call("take_over", {}))
+        return form

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rn_view.measured import Measured
 from roboneuron import RobotProfile
-from roboneuron.config import Config
-from roboneuron.gate.motion.rules import MotionRules, collision_of, motion_rules
+from roboneuron.feature import Config, MotionRules, collision_of, motion_rules
 
 if TYPE_CHECKING:
     import viser

@@ -15,7 +15,7 @@ from rn_view.page import Page
 from rn_view.plots import History
 from rn_view.source import Source
 from roboneuron import RoboNeuronError, RobotProfile
-from roboneuron.supervisor.changes import Periodic
+from roboneuron.feature import Periodic
 
 log = logging.getLogger(__name__)
 _MOTION_S, _STATE_S, _SCENE_PICTURE_S, _IDLE_S = 1 / 25, 0.25, 0.5, 0.5

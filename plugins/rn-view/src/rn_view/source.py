@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 from rn_view.happenings import HappeningList
 from rn_view.playback import Playback
 from roboneuron import RobotProfile
-from roboneuron.config import Config
+from roboneuron.feature import Config
 
 M = TypeVar("M")
 
@@ -85,6 +85,10 @@ class Source(Protocol):
 
     def snapshot(self) -> Snapshot:
         """The present state."""
+        ...
+
+    def is_latched(self) -> bool:
+        """Whether the emergency stop is latched; at once, also while nobody looks."""
         ...
 
     def look(self) -> None:

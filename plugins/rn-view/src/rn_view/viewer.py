@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import logging
@@ -11,17 +12,25 @@ from typing import Any
 
 import viser
 
-from rn_view.access import Admission, check_address
+from rn_standard.http.addresses import bind
+from rn_standard.http.listener import BoundedListener, other_bounds
+from rn_view.access import Admission
 from rn_view.measured import Measured
 from rn_view.options import ViewOptions
 from rn_view.page import Operator, Page
 from rn_view.showing import Showing
 from rn_view.source import Source
+from rn_view.visitors import Visitors
+from rn_view.web import Web, served_by
 
 log = logging.getLogger(__name__)
 TITLE = "RoboNeuron"
-_POLICY_VIOLATION = 1008
-"""Why a connection is closed. Source: RFC 6455, section 7.4.1."""
+_RIGHT_PX = 380
+_CONNECTIONS = 128
+_SILENT_S = 10.0
+"""A websocket has this long to become a page; a browser's takes 1 to 5 s."""
+_MOST_SILENT, _MOST_WAITING = 32, 32
+"""Websockets that are no pages, and pages that show the stop only: the oldest gives way to the newest."""
 
 
 class _Server(viser.ViserServer):
@@ -39,7 +48,7 @@ class Viewer:
         options: where, how fast and to how many.
         source: what is shown; of several robots by their names, and each page has a choice.
         admission: who may look.
-        operator: calls tools for the buttons; None for a view without, such as one of several robots.
+        operator: calls tools for the buttons of a robot; None for a view without.
     """
 
     def __init__(
@@ -50,12 +59,14 @@ class Viewer:
         operator: Operator | None,
     ) -> None:
         self._options = options
-        self._sources = source if isinstance(source, Mapping) else {"": source}
+        self._sources: dict[str, Source] = dict(source) if isinstance(source, Mapping) else {"": source}
         self._admission = admission
-        self._operator = operator
+        self._operators = {} if operator is None else dict.fromkeys(self._sources, operator)
         self._lock = threading.RLock()
         self._pages: dict[int, Page] = {}
         self._server: _Server | None = None
+        self._listener: BoundedListener | None = None
+        self._visitors = Visitors()
         self._showings = {name: Showing(one, options.image_hz, self._begin_anew) for name, one in self._sources.items()}
         self._shown: dict[Page, str] = {}
 
@@ -77,20 +88,36 @@ class Viewer:
         """Begin to serve.
 
         Raises:
-            ConfigurationError: as `check_address`.
+            ConfigurationError: as `check_port`.
         """
-        check_address(self._options, self._admission.tokens)
-        with contextlib.redirect_stdout(io.StringIO()):  # a banner; stdout may be a protocol
+        web = Web(self._admission, lambda: self._sources, self._visitors.who, self._visitors.cookie)
+        bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
+        self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
+        with (
+            served_by(self._listener, web),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):  # a banner; stdout may be a protocol
             self._server = _Server(host=self._options.host, port=self._options.port, label=TITLE, verbose=False)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         self._server.gui.main_panel.dock_right()
-        self._server.gui.main_panel.set_width(400)
+        self._server.gui.main_panel.set_width(_RIGHT_PX)
         self._server._websock_server.on_client_connect(self._check_connection)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
         for showing in self._showings.values():
             showing.start()
         log.info("The live view is at %s.", self.url)
+
+    def join(self, name: str, source: Source, operator: Operator) -> None:
+        """Show one more robot; every page begins anew, with the choice."""
+        with self._lock:
+            self._sources = {**self._sources, name: source}
+            self._operators = {**self._operators, name: operator}
+            showing = Showing(source, self._options.image_hz, self._begin_anew)
+            self._showings = {**self._showings, name: showing}
+        if self._server is not None:
+            showing.start()
+            self._begin_anew()
 
     def close(self) -> None:
         """End everything; idempotent."""
@@ -100,6 +127,8 @@ class Viewer:
         if server is not None:
             with contextlib.redirect_stdout(io.StringIO()):
                 server.stop()
+        if self._listener is not None:
+            self._listener.close()
         with self._lock:
             self._pages.clear()
             self._shown.clear()
@@ -113,26 +142,47 @@ class Viewer:
             server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
-        """Close a connection that comes from another web page, or that is one too many, before anything is sent."""
+        """A websocket was opened: it has a while to become a page, before the oldest that did not gives way to it."""
         assert self._server is not None
         live = self._server._websock_server._live_connections
         found = live.get(connection.client_id)
         if found is None or found.request is None:
             return
-        if not self._admission.allows(found.request.headers):
-            log.warning("A page of %s may not connect to the view.", found.request.headers.get("Origin"))
-            await found.close(_POLICY_VIOLATION, "This page may not connect.")
-        elif len(live) > self._options.max_viewers:
-            await found.close(_POLICY_VIOLATION, "Too many pages are open.")
+        assert self._listener is not None
+        self._listener.prove(found.remote_address[:2])
+        self._visitors.connect(connection.client_id, found.request)
+        with self._lock:
+            silent = [number for number in live if number not in self._pages]
+        for number in silent[:-_MOST_SILENT]:
+            live[number].transport.abort()
+        loop = asyncio.get_running_loop()
+        loop.call_later(_SILENT_S, self._drop_silent, connection.client_id, found)
+
+    def _drop_silent(self, number: int, connection: Any) -> None:
+        with self._lock:
+            is_page = number in self._pages
+        if not is_page:
+            connection.transport.abort()
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
-        page = Page(client, self._sources, self._operator, self._admission.tokens.find, self._choose)
+        page = Page(client, self._sources, self._operators, self._admission.tokens.find, self._choose)
         page.holder = self._admission.visitor(client.client_id)
         with self._lock:
             self._pages[client.client_id] = page
             self._shown[page] = page.robot
             self._showings[page.robot].add(page)
+            waiting = [number for number, other in self._pages.items() if not other.is_admitted]
+        for number in waiting[:-_MOST_WAITING]:
+            self._abort(number)
         self._begin(page)
+
+    def _abort(self, number: int) -> None:
+        """Cut a page that shows the stop only, for a newer one; its program comes again by itself."""
+        server = self._server
+        found = None if server is None else server._websock_server._live_connections.get(number)
+        loop = None if server is None else server._websock_server._background_event_loop
+        if found is not None and loop is not None:
+            loop.call_soon_threadsafe(found.transport.abort)
 
     def _begin(self, page: Page) -> None:
         """Show everything to a page whose holder is known; ask the others."""
@@ -144,7 +194,13 @@ class Viewer:
     def _admit(self, page: Page) -> None:
         with self._lock:
             robot = self._shown.get(page)
-        if robot is not None:
+            if robot is None:
+                return
+            if page.holder is not None:
+                self._visitors.name(page.client.client_id, page.holder.who)
+            if sum(other.is_admitted for other in self._pages.values()) >= self._options.max_viewers:
+                page.say_full(self._options.max_viewers)
+                return
             self._showings[robot].admit(page)
 
     def _choose(self, page: Page) -> None:
@@ -154,16 +210,18 @@ class Viewer:
             if before is None or robot == before:
                 return
             self._shown[page] = robot
+            was_admitted = page.is_admitted
             page.change()
             self._showings[before].remove(page)
             self._showings[robot].add(page)
-            if page.holder is not None:
+            if was_admitted:
                 self._showings[robot].admit(page)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
             page = self._pages.pop(client.client_id, None)
             robot = self._shown.pop(page, None) if page is not None else None
+        self._visitors.disconnect(client.client_id)
         if page is not None and robot is not None:
             self._showings[robot].remove(page)
             page.leave()

@@ -13,19 +13,16 @@ from roboneuron import ConfigurationError, MissingDependencyError
 if TYPE_CHECKING:
     from rn_view_attached.source import AttachedSource, Graph
     from rn_view_recorded.source import RecordedSource
-    from roboneuron.config import Config
-    from roboneuron.plugins.registry import Registry
+    from roboneuron.feature import Config, Registry
 
 
 class View:
     """Show the robot of a running server in a browser, from the ROS graph and its state directory; or a recording.
 
-    The server needs not know of it, and nothing is published. The page has the emergency stop, which works as
-    `roboneuron estop` does, and no other button; those are on the page of a server with `[view] enabled = true`. Give
-    the configuration that the server was started with: it names the robot, its namespace and the state directory. Of
-    several robots each page shows the one that is chosen there, and its emergency stop is that robot's.
+    Works beside any server and publishes nothing. The page has the emergency stop and no other button. Give the
+    server's configuration: it names the robot, its namespace and the state directory.
 
-    With --run the page plays what rn-recorder has recorded, with a slider for the time. No robot and no ROS are needed.
+    With --run the page plays a recording of rn-recorder, with a slider for the time; that needs no robot and no ROS.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -42,15 +39,14 @@ class View:
         """Serve the page until Ctrl-C."""
         import os
 
-        from rn_serve_http.options import HttpOptions
-        from rn_serve_http.plugin import FEATURE as HTTP
-        from rn_serve_http.tokens import TokenFiles
+        from rn_standard.http.options import HttpOptions
+        from rn_standard.http.plugin import FEATURE as HTTP
+        from rn_standard.http.tokens import TokenFiles
         from rn_view.access import Admission, host_rules
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.viewer import Viewer
-        from roboneuron.config import feature_options, load_config
-        from roboneuron.plugins.discovery import discover
+        from roboneuron.feature import discover, feature_options, load_config
 
         config = load_config(arguments.config)
         robots = _chosen(config, arguments.robot)
@@ -107,8 +103,7 @@ def _sources(
     if arguments.directory is not None:
         raise ConfigurationError("--directory goes with --run.", hint="--state names a server's state directory.")
     from rn_view_attached.source import AttachedSource, Graph
-    from roboneuron.config import robot_folder
-    from roboneuron.ros.environment import state_directory
+    from roboneuron.feature import robot_folder, state_directory
 
     directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
     graph = Graph(directory)

@@ -8,19 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from rn_console.diagnostics import DiagnosticsListener
-from rn_console.status import ModuleStatus, ServerStatus
+from rn_standard.console.diagnostics import DiagnosticsListener
+from rn_standard.console.status import ModuleStatus, ServerStatus
 from rn_view.happenings import AuditTail, Happenings, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import RobotProfile
-from roboneuron.config import Config
-from roboneuron.gate.audit import FILE_NAME as AUDIT_NAME
-from roboneuron.gate.audit import AuditLog
-from roboneuron.gate.estop import FILE_NAME as LATCH_NAME
-from roboneuron.gate.estop import EmergencyStopLatch
-from roboneuron.plugins.registry import Registry
-from roboneuron.supervisor.health import FAULTS
+from roboneuron.feature import AUDIT_FILE, ESTOP_FILE, FAULTS, AuditLog, Config, EmergencyStopLatch, Registry
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -39,7 +33,7 @@ class Graph:
     def open(self) -> None:
         """Join; raises as `roboneuron.ros.environment.prepare_environment`."""
         self.diagnostics.open()
-        from roboneuron.ros.link import RosLink  # heavy
+        from roboneuron.feature import RosLink  # heavy
 
         self.link = RosLink(f"roboneuron_view_{os.getpid()}")
         self.link.open()
@@ -78,7 +72,7 @@ class AttachedSource:
         self._state_directory = state_directory
         self._graph = graph
         self._is_one_of_several = is_one_of_several
-        self._audit = AuditTail(state_directory / AUDIT_NAME)
+        self._audit = AuditTail(state_directory / AUDIT_FILE)
         self._healths: dict[str, str] = {}
         self.happenings = Happenings()
 
@@ -105,13 +99,17 @@ class AttachedSource:
                 text = f"{row.kind}: {row.health} (was {before})"
                 self.happenings.add("health", text, is_bad=row.health in FAULTS)
             self._healths[row.kind] = row.health
-        latch = EmergencyStopLatch(self._state_directory / LATCH_NAME, time.time_ns).read_state()
+        latch = EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns).read_state()
         return Snapshot(
             modules=rows,
             is_latched=latch.latched,
             cause=latch.cause,
             instruction=inference.instruction if inference is not None else "",
         )
+
+    def is_latched(self) -> bool:
+        """See Source."""
+        return EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns).is_latched()
 
     def look(self) -> None:
         """See Source."""
@@ -120,7 +118,7 @@ class AttachedSource:
 
     def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
         """See Source."""
-        from roboneuron.ros.qos import requested_qos  # heavy
+        from roboneuron.feature import requested_qos  # heavy
 
         place = f"/{self._config.namespace}/{topic}"
         link = self._graph.link
@@ -129,8 +127,8 @@ class AttachedSource:
 
     def press_stop(self, who: str) -> str:
         """See Source: written as `roboneuron estop` does."""
-        latch = EmergencyStopLatch(self._state_directory / LATCH_NAME, time.time_ns)
-        audit = AuditLog(self._state_directory / AUDIT_NAME, time.time_ns)
+        latch = EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns)
+        audit = AuditLog(self._state_directory / AUDIT_FILE, time.time_ns)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()
         return "Latched in the file that every module looks at 50 times a second."

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from rn_runs.timeline import Timeline
 from rn_view.happenings import Happening, Happenings, add_record, shown_arguments
 from rn_view.playback import Mark
-from roboneuron.supervisor.health import FAULTS
+from roboneuron.feature import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
 EVENTS, AUDIT = "/roboneuron/events", "/roboneuron/audit"
@@ -19,7 +19,7 @@ _STOPS = {"latched": True, "restored": True, "reset": False}
 """Verdicts of the audit that say whether the emergency stop is latched."""
 _MARKED = ("call", "fault", "episode_end")
 _QUIET = ("get_", "list_", "read_")
-"""Beginnings of tools that only look: they are in the list, but nobody jumps to them."""
+"""Beginnings of tools that only look: in the list when they failed."""
 _NS = 1e-9
 
 
@@ -98,9 +98,11 @@ class RunLog:
             text = f"the episode ended: {told.get('outcome', 'unknown')}"
         else:
             text = str(what)
+        if what == "call" and not is_bad and str(told.get("tool", "")).startswith(_QUIET):
+            return
         kind = {"call": "tool", "episode_end": "run"}.get(str(what), str(what))
         self._lines.add(kind, text, is_bad=is_bad, at_s=at_ns * _NS)
-        if is_bad or (what in _MARKED and not str(told.get("tool", "")).startswith(_QUIET)):
+        if is_bad or what in _MARKED:
             self._mark(at_ns, text, marks)
 
     def _add_verdict(self, told: Mapping[str, Any], at_ns: int, marks: list[Mark]) -> None:

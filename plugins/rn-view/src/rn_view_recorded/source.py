@@ -22,10 +22,7 @@ from rn_view.playback import Playback
 from rn_view.source import ModuleRow, Snapshot
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
-from roboneuron.config import Config
-from roboneuron.plugins.registry import Registry
-from roboneuron.supervisor.changes import Periodic
-from roboneuron.supervisor.health import ModuleView, Report, assess
+from roboneuron.feature import Config, ModuleView, Periodic, Registry, Report, assess
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -121,6 +118,10 @@ class RecordedSource:
                 cause=cause,
                 instruction=(told.instruction if told is not None else "") or self._log.instruction(at_ns),
             )
+
+    def is_latched(self) -> bool:
+        """See Source."""
+        return False
 
     def look(self) -> None:
         """See Source: everything was read already."""

@@ -25,6 +25,8 @@ MAX_TOKENIZER_BYTES = 64 * 2**20
 """Largest tokenizer.json (PaliGemma's has 34 MB)."""
 MAX_HEADER_BYTES = 32 * 2**20
 """Longest header of a safetensors file."""
+FAMILIES = {"openvla": "openvla (OpenVLA), oft (OpenVLA-OFT)", "pi0": "pi0"}
+"""Backends that run a checkpoint, by the family that its config.json names."""
 _LISTED = 12
 _AGAIN = "Check that the checkpoint is complete, or download it again."
 
@@ -40,6 +42,14 @@ def list_names(names: Iterable[str]) -> str:
     known = list(names)
     more = len(known) - _LISTED
     return ", ".join(clip(name, 240) for name in known[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def explain_families(family: object) -> str:
+    """What to do with a checkpoint of that family, which the backend in use does not run."""
+    if isinstance(family, str) and family in FAMILIES:
+        return f"Choose a backend that runs it: {FAMILIES[family]}."
+    known = "; ".join(f"{name!r}: {backends}" for name, backends in FAMILIES.items())
+    return f"No backend of RoboNeuron runs that family. Those that read checkpoints run {known}."
 
 
 def check_file(path: Path, max_bytes: int | None = None) -> int:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_vla.pruning import PrunableDecoder
-from roboneuron import Acceleration, Runtime
-from roboneuron.contract.arrays import freeze
+from roboneuron import Acceleration, Runtime, freeze
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -123,11 +122,13 @@ class TokenReply:
         tokens: int64 (max_new_tokens,).
         logits: float32 (vocabulary,) at the last prompt position, or None when not asked for.
         metrics: numbers worth watching, in milliseconds or tokens.
+        note: one short sentence where the answer took another way than the fast one; else empty.
     """
 
     tokens: I64
     logits: F32 | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "tokens", dtype=np.int64)
@@ -160,11 +161,12 @@ class RowsReply:
 
     Attributes:
         values: float32, the back module's shape, or (rows, hidden), or (rows,) ids.
-        metrics: as in `TokenReply`.
+        metrics, note: as in `TokenReply`.
     """
 
     values: F32
     metrics: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "values", dtype=None)
@@ -187,6 +189,7 @@ class PolicyModel:
         shards: every weight file; an in-process runtime reads one after the other.
         visual_tokens: how many positions after the first one hold image patches.
         max_prompt_tokens: longest `Prompt.ids`.
+        min_prompt_tokens: shortest prompt in the count of `example`: the template around an instruction of one word.
         max_new_tokens: most tokens any request decodes; 0 for families that decode none.
         extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds, right behind the latter.
         example: a request with so many prompt ids, to warm up with.
@@ -207,6 +210,7 @@ class PolicyModel:
     build_front: Callable[[], Any]
     build_back: Callable[[], Any] | None = None
     extra_tokens: int = 0
+    min_prompt_tokens: int = 12
 
 
 LlamaRuntime: TypeAlias = Runtime[PolicyModel, Request, Reply, PrunableDecoder]

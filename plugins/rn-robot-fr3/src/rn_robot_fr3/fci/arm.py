@@ -1,15 +1,14 @@
-"""The arm through franky: its C++ thread talks to the robot at 1 kHz, Python only tells it where to go."""
+"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says where to go."""
 
 from __future__ import annotations
 
-import importlib
-import logging
-import os
+import json
 import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,29 +18,41 @@ from numpy.typing import NDArray
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.fci.planner import (
+    ACCELERATION_LIMIT_RAD_S2,
     JERK_LIMIT_RAD_S3,
-    MOTION_SHARE,
     STOP_ACCELERATION_RAD_S2,
     VELOCITY_LIMIT_RAD_S,
     Plan,
-    braking_distance,
 )
 
-log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]
 
 PORT = 1337
 """TCP port of the FCI; libfranka has no other."""
-_PRIORITY = 20
 _PROBE_S = 3.0
+_ANSWER_S = 8.0
+_START_S = 30.0
+"""Of a Python process on a busy machine."""
+_SILENT = "Timeout"
+"""Kind of the error when nobody answers."""
 _STOP_S = 5.0
-_BRAKING_S = 0.5
-"""Longer than any stop: 2.6 rad/s at 7.4 rad/s^2 takes 0.36 s."""
+_BRAKING_S = 0.6
+"""Longer than any stop: 2.6 rad/s at 9 rad/s^2 takes 0.3 s."""
 _LOOK_S = 0.002
-_DELAY_S = 0.001
-"""From the state that a stop is planned from to its first command."""
-_NO_FILTER_HZ = 1000.0
-"""libfranka's kMaxCutoffFrequency: with its low-pass filter on, a change of target is a jump in acceleration."""
+_ALIVE_S = 0.02
+_MESSAGE_BYTES = 65536
+
+
+class ClientError(Exception):
+    """What the client library raised in the control process.
+
+    Attributes:
+        kind: name of its class, such as "ControlException".
+    """
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -57,6 +68,8 @@ class ArmState:
         mode: libfranka's RobotMode, such as "Idle".
         errors: flags that are set now.
         success_rate: share of the last 100 commands that came in time; 0 when none are sent.
+        silences: how often the arm was stopped because this process had said nothing.
+        missed_cycles, longest_gap: cycles of all motions without a state, and the most in a row.
     """
 
     position: F64
@@ -69,120 +82,140 @@ class ArmState:
     mode: str
     success_rate: float
     errors: tuple[str, ...] = field(default=())
-
-
-def load_client() -> Any:
-    """The client library; imported when it is needed, for it takes 0.1 s."""
-    return importlib.import_module("franky")
+    missed_cycles: int = 0
+    longest_gap: int = 0
+    silences: int = 0
 
 
 class FciArm:
-    """One connection; methods raise the client library's exceptions unless said otherwise."""
+    """One connection, in a process of its own; methods raise `ClientError` unless said otherwise.
 
-    def __init__(self, options: FciDriverOptions, client: Any) -> None:
+    Attributes:
+        refusal: why the control box does not take its settings; empty when it has them.
+    """
+
+    def __init__(self, options: FciDriverOptions) -> None:
         self._options = options
-        self._client = client
-        self._robot: Any = None
-        self._flags = [name for name in dir(client.Errors) if not name.startswith("_")]
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
+        self._news = threading.Condition()
+        self._newest: dict[str, Any] | None = None
+        self._answers: dict[int, ClientError | None] = {}
+        self._ended: ClientError | None = None
+        self._number = self._aimed = 0
+        self._alive_s = 0.0
         self._is_stopping = False
-        self.is_realtime = False
+        self.refusal = ""
 
     def connect(self) -> None:
-        """Connect anew and set limits, thresholds and load.
+        """Connect anew, and set thresholds and load where the arm's mode allows it; see `refusal`.
 
         Raises:
             ConfigurationError, NotReadyError: it cannot be; says what to do.
         """
-        self._robot = None  # before the next: the control box serves one client
+        self.close()  # before the next: the control box serves one client
         host = self._options.host
         try:
             socket.create_connection((host, PORT), _PROBE_S).close()
         except OSError as error:
             raise faults.unreachable(host, str(error.strerror or error)) from error
-        self._robot = self._open_in_time(host)
-        self._robot.joint_velocity_limit.set(VELOCITY_LIMIT_RAD_S)
-        self._robot.joint_acceleration_limit.set(STOP_ACCELERATION_RAD_S2)
-        self._robot.joint_jerk_limit.set(JERK_LIMIT_RAD_S3)
-        self._robot.set_collision_behavior(self._options.collision_torque_nm, self._options.collision_force_n)
-        if self._options.load_kg > 0.0:
-            self._robot.set_load(self._options.load_kg, list(self._options.load_centre_m), [0.0] * 9)
+        self._start()
+        try:
+            self._ask("hello", _START_S)
+            self._ask(
+                "connect",
+                self._options.connect_timeout_s,
+                host=host,
+                is_required=self._options.realtime == "required",
+                stop_acceleration=STOP_ACCELERATION_RAD_S2.tolist(),
+                stop_jerk=JERK_LIMIT_RAD_S3.tolist(),
+            )
+            self.configure()
+        except ClientError as error:
+            self._kill()
+            if error.kind == _SILENT:
+                raise faults.silent(host, self._options.connect_timeout_s) from None
+            raise faults.while_connecting(error, host) from error
 
-    def _open_in_time(self, host: str) -> Any:
-        """Connect in a thread that may be left behind: the library waits a minute for an answer."""
-        config = self._client.RealtimeConfig
-        realtime = config.Enforce if self._options.realtime == "required" else config.Ignore
-        outcome: list[Any] = []
-        expired = threading.Event()
-
-        def connect() -> None:
-            try:
-                robot = self._client.Robot(host, realtime_config=realtime)
-            except Exception as error:  # carried to the caller's thread
-                outcome.append(error)
-                return
-            if not expired.is_set():
-                outcome.append(robot)
-
-        thread = threading.Thread(target=connect, name="fci-connect", daemon=True)
-        thread.start()
-        thread.join(self._options.connect_timeout_s)
-        if not outcome:
-            expired.set()
-            raise faults.silent(host, self._options.connect_timeout_s)
-        if isinstance(outcome[0], Exception):
-            raise faults.while_connecting(outcome[0], host) from outcome[0]
-        return outcome[0]
+    def configure(self) -> None:
+        """Set thresholds and load; refused settings are no error here but the `refusal`."""
+        options = self._options
+        try:
+            self._ask(
+                "configure",
+                _ANSWER_S,
+                torque_nm=options.collision_torque_nm,
+                force_n=options.collision_force_n,
+                load_kg=options.load_kg,
+                centre_m=list(options.load_centre_m),
+            )
+        except ClientError as error:
+            if error.kind != "CommandException":
+                raise
+            self.refusal = str(error).split("\n")[0]
+            return
+        self.refusal = ""
 
     def read(self) -> ArmState:
-        """The newest state; takes 2 ms when no motion runs. Raises too what ended a motion."""
-        self._robot.poll_motion()
-        state = self._robot.state
+        """The newest state, at most 8 ms old while the arm answers. Raises once what ended a motion."""
+        self._say_alive()
+        with self._news:
+            ended, self._ended = self._ended, None
+            state = self._newest
+        if ended is not None:
+            raise ended
+        if state is None:
+            raise ClientError("NetworkException", "the control process has no state of the robot.")
+        frame = np.array(state["O_T_EE"]).reshape(4, 4).T
         return ArmState(
-            position=np.array(state.q, dtype=np.float64),
-            velocity=np.array(state.dq, dtype=np.float64),
-            torque=np.array(state.tau_J, dtype=np.float64),
-            external_torque=np.array(state.tau_ext_hat_filtered, dtype=np.float64),
-            wrench=np.array(state.O_F_ext_hat_K, dtype=np.float64),
-            tcp_m=np.array(state.O_T_EE.translation, dtype=np.float64).ravel(),
-            tcp_xyzw=np.array(state.O_T_EE.quaternion, dtype=np.float64).ravel(),
-            mode=state.robot_mode.name,
-            success_rate=float(state.control_command_success_rate),
-            errors=tuple(name for name in self._flags if getattr(state.current_errors, name) is True),
+            position=np.array(state["q"]),
+            velocity=np.array(state["dq"]),
+            torque=np.array(state["tau_J"]),
+            external_torque=np.array(state["tau_ext_hat_filtered"]),
+            wrench=np.array(state["O_F_ext_hat_K"]),
+            tcp_m=frame[:3, 3],
+            tcp_xyzw=quaternion(frame[:3, :3]),
+            mode=state["mode"],
+            success_rate=float(state["rate"]),
+            errors=tuple(state["errors"]),
+            missed_cycles=state["missed"],
+            longest_gap=state["longest"],
+            silences=state["silences"],
         )
 
     @property
     def is_moving(self) -> bool:
-        """Whether the control loop runs."""
-        return bool(self._robot.is_in_control)
+        """Whether the control loop runs, or is about to."""
+        state = self._newest
+        return state is not None and (state["moving"] or state["number"] < self._aimed)
+
+    @property
+    def is_realtime(self) -> bool:
+        """Whether the control process is scheduled first in, first out."""
+        return bool(self._newest and self._newest["realtime"])
 
     def go(self, plan: Plan) -> None:
-        """Go to the plan's target; replaces the motion before, without a jump. See `await_rest`."""
-        client, factor = self._client, self._options.dynamics_factor
-        dynamics = client.RelativeDynamicsFactor(plan.velocity_factor, factor * MOTION_SHARE, factor)
-        waypoint = client.JointWaypoint(client.JointState(plan.target), relative_dynamics_factor=dynamics)
+        """Go to the plan's target; replaces the motion before, without a jump in acceleration. See `await_rest`."""
+        factor = self._options.dynamics_factor
         self._is_stopping = False
-        self._move(client.JointWaypointMotion([waypoint], return_when_finished=False))
+        self._number += 1
+        self._aimed = self._number
+        self._send(
+            {
+                "do": "go",
+                "number": self._number,
+                "target": plan.target.tolist(),
+                "velocity": (plan.velocity_factor * VELOCITY_LIMIT_RAD_S).tolist(),
+                "acceleration": (factor * ACCELERATION_LIMIT_RAD_S2).tolist(),
+                "jerk": (factor * JERK_LIMIT_RAD_S3).tolist(),
+            }
+        )
 
     def stop(self) -> None:
-        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once.
-
-        What stops already is left alone, and see `await_rest`: what replaces a stop may exceed the arm's limit of jerk.
-        """
+        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once."""
         if self.is_moving and not self._is_stopping:
-            self._move(self._braking())
+            self._send({"do": "brake"})
             self._is_stopping = True
-
-    def _braking(self) -> Any:
-        """A motion to the place where the arm comes to rest soonest.
-
-        The client library's own `JointStopMotion` (franky 2.0.0) is a motion to the place where the stop began: the arm
-        brakes and then drives back, at 1 rad/s by 0.06 rad with up to 0.8 rad/s. The way is given relative to the
-        command at the moment of the hand-over, so that what passes until then does not count.
-        """
-        client, state = self._client, self._robot.state
-        velocity, acceleration = (np.array(values, dtype=np.float64) for values in (state.dq_d, state.ddq_d))
-        way = braking_distance(velocity, acceleration) + velocity * _DELAY_S
-        return client.JointMotion(client.JointState(way), client.ReferenceType.Relative)
 
     def await_rest(self) -> None:
         """Return when a stop that has begun is over; at once when there is none."""
@@ -190,35 +223,112 @@ class FciArm:
         while self._is_stopping and self.is_moving and time.monotonic() < deadline_s:
             time.sleep(_LOOK_S)
 
-    def _move(self, motion: Any) -> None:
-        # The thread of the control loop inherits the priority when it is started. While it runs, it goes first.
-        with self._realtime_threads(_PRIORITY - 1 if self.is_moving else _PRIORITY):
-            self._robot.move(motion, asynchronous=True, cutoff_frequency=_NO_FILTER_HZ)
-
-    @contextmanager
-    def _realtime_threads(self, priority: int) -> Iterator[None]:
-        """Threads started within the block are scheduled before ordinary ones, where the system allows it."""
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError:
-            yield
-            return
-        self.is_realtime = True
-        try:
-            yield
-        finally:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
     def recover(self) -> None:
-        """Clear the errors of a reflex."""
-        self._robot.recover_from_errors()
+        """Clear the errors of a reflex; only then are settings taken again."""
+        with self._news:
+            self._ended = None
+        self._ask("recover", _ANSWER_S)
+        self.configure()
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice."""
-        robot = self._robot
-        if robot is None:
+        process, link = self._process, self._link
+        if process is None or link is None:
             return
-        with suppress(Exception):  # whatever it answers, it is left
-            self.stop()
-            robot.join_motion(_STOP_S)
-        self._robot = None
+        with suppress(OSError):
+            link.shutdown(socket.SHUT_WR)  # the process brakes, and ends
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_STOP_S)
+        self._kill()
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        command = [sys.executable, "-m", "rn_robot_fr3.fci.control_process", str(theirs.fileno())]
+        with theirs:
+            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
+        self._link, self._newest, self._ended, self._is_stopping = ours, None, None, False
+        self._aimed = 0
+        self._answers.clear()
+        threading.Thread(target=self._listen, args=(ours,), name="fci-arm", daemon=True).start()
+
+    def _listen(self, link: socket.socket) -> None:
+        """Take over what the process says, until it ends."""
+        while True:
+            try:
+                message = link.recv(_MESSAGE_BYTES)
+            except OSError:
+                message = b""
+            with self._news:
+                if self._link is not link:
+                    return
+                if not message:
+                    self._newest = None
+                    self._ended = self._ended or ClientError("NetworkException", "the control process has ended.")
+                    self._news.notify_all()
+                    return
+                self._take(json.loads(message))
+
+    def _take(self, told: dict[str, Any]) -> None:
+        if "answer" in told:
+            self._answers[told["answer"]] = ClientError(told["kind"], told["text"]) if told["kind"] else None
+            self._news.notify_all()
+        elif "ended" in told:
+            self._aimed = 0
+            self._ended = ClientError(told["ended"], told["text"])
+        else:
+            self._newest = told
+
+    def _ask(self, what: str, limit_s: float, **arguments: object) -> None:
+        """Ask the process for something and wait."""
+        self._number += 1
+        number = self._number
+        self._send({"do": what, "number": number, "arguments": arguments})
+        with self._news:
+            if not self._news.wait_for(lambda: number in self._answers or self._is_gone(), limit_s):
+                raise ClientError(_SILENT, f"the control process did not answer {what!r} within {limit_s:g} s.")
+            error = self._answers.pop(number, ClientError("NetworkException", "the control process has ended."))
+        if error is not None:
+            raise error
+
+    def _is_gone(self) -> bool:
+        return self._process is None or self._process.poll() is not None
+
+    def _say_alive(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._alive_s >= _ALIVE_S:
+            self._alive_s = now_s
+            with suppress(ClientError):  # `read` says what is the matter
+                self._send({"do": "alive"})
+
+    def _send(self, message: dict[str, object]) -> None:
+        if self._link is None:
+            raise ClientError("NetworkException", "there is no control process.")
+        try:
+            self._link.send(json.dumps(message).encode())
+        except OSError as error:
+            raise ClientError("NetworkException", f"the control process has ended ({error.strerror}).") from error
+
+    def _kill(self) -> None:
+        process, link = self._process, self._link
+        self._process = self._link = None
+        if link is not None:
+            link.close()
+        if process is not None and process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def quaternion(rotation: F64) -> F64:
+    """Unit quaternion x y z w (4,) of a rotation matrix (3, 3)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    outer = np.array(
+        [
+            [xx - yy - zz, xy + yx, xz + zx, zy - yz],
+            [xy + yx, yy - xx - zz, yz + zy, xz - zx],
+            [xz + zx, yz + zy, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    values, vectors = np.linalg.eigh(outer)
+    newest: F64 = vectors[:, int(np.argmax(values))]
+    return newest if newest[3] >= 0.0 else -newest

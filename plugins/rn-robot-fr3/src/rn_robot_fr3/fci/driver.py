@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.command import checked
 from rn_robot_fr3.fci import faults
-from rn_robot_fr3.fci.arm import ArmState, FciArm, load_client
+from rn_robot_fr3.fci.arm import ArmState, ClientError, FciArm
 from rn_robot_fr3.fci.faults import Fault
 from rn_robot_fr3.fci.gripper import FciGripper
 from rn_robot_fr3.fci.options import FciDriverOptions
@@ -25,6 +27,7 @@ from roboneuron import (
     JointCommand,
     JointSample,
     RefusedError,
+    RoboNeuronError,
     RobotProfile,
     RobotState,
     StateError,
@@ -78,9 +81,8 @@ class FciDriver:
         """
         if self._arm is not None:
             raise StateError("The driver 'fci' is open already.")
-        client = load_client()
-        arm = FciArm(self._options, client)
-        gripper = FciGripper(self._options, client) if self._options.gripper else None
+        arm = FciArm(self._options)
+        gripper = FciGripper(self._options, importlib.import_module("franky")) if self._options.gripper else None
         try:
             arm.connect()
             self._arm = arm
@@ -99,6 +101,8 @@ class FciDriver:
         self._stop.clear()
         self._asked_s = time.monotonic()
         self._take(arm.read())
+        if self._fault is None and arm.refusal:
+            self._fail(faults.settings_refused(arm.refusal))
         self._thread = threading.Thread(target=self._watch, name="fci-state", daemon=True)
         self._thread.start()
 
@@ -107,7 +111,8 @@ class FciDriver:
 
         `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors", "control_success_rate",
         "joints_rad", "velocity_rad_s", "torque_nm", "external_torque_nm", "external_wrench" (N, Nm, base frame),
-        "tcp_m", "watchdog_stops", "realtime" and "gripper". The same goes out on the topics of `state_topics`.
+        "tcp_m", "watchdog_stops", "missed_cycles", "realtime" and "gripper". The same goes out on the topics of
+        `state_topics`.
 
         Raises:
             StateError: not open.
@@ -184,32 +189,38 @@ class FciDriver:
                 raise StateError("The driver 'fci' is not open.")
             if fault is None:
                 raise StateError("The arm has no fault to recover from.")
-            now = self._recovered(arm, fault)
+            try:
+                now = self._recovered(arm, fault)
+            except (RoboNeuronError, ClientError) as error:
+                raise faults.still(fault, error) from error
             if now is not None:
-                self._fault = now
+                self._fail(now)
                 raise RefusedError(f"The FR3 cannot be recovered ({now.code}): {now.message}", hint=now.hint)
             self._fault = None
+            self._busy_until_s = 0.0
+            self._take(arm.read())
             self._asked_s = time.monotonic()
             log.warning("Recovered from %s.", fault.code)
             return fault.code
 
     def _recovered(self, arm: FciArm, fault: Fault) -> Fault | None:
-        """Try to clear it; returns what stands in the way."""
-        try:
-            if fault.code == "communication_lost":
-                arm.connect()
-            state = arm.read()
-            found = faults.from_mode(state.mode, state.errors)
-            if found is not None and found.stands:
-                return found
-            arm.recover()
-            deadline_s = time.monotonic() + _RECOVERY_S
-            while (found := faults.from_mode(state.mode, state.errors)) and time.monotonic() < deadline_s:
-                time.sleep(_PERIOD_S)
-                state = arm.read()
+        """Try to clear it; returns what stands in the way. No motion is begun, and none resumed."""
+        if fault.code == "communication_lost":
+            arm.connect()
+        with suppress(ClientError):  # what ended the last motion
+            arm.read()
+        state = arm.read()
+        found = faults.from_mode(state.mode, state.errors)
+        if found is not None and found.stands:
             return found
-        except Exception as error:
-            return replace(fault, message=f"{fault.message} Recovery failed: {str(error).splitlines()[0]}")
+        arm.recover()
+        deadline_s = time.monotonic() + _RECOVERY_S
+        while (found := faults.from_mode(state.mode, state.errors)) and time.monotonic() < deadline_s:
+            time.sleep(_PERIOD_S)
+            state = arm.read()
+        if found is None and arm.refusal:
+            return faults.settings_refused(arm.refusal)
+        return found
 
     def close(self) -> None:
         """Stop in a controlled way and disconnect; may be called twice and before `open`."""
@@ -237,7 +248,15 @@ class FciDriver:
                 try:
                     self._look_after(arm)
                 except Exception as error:  # what ended a motion, or the connection
-                    self._fail(faults.from_exception(error))
+                    self._end(arm, error)
+
+    def _end(self, arm: FciArm, error: Exception) -> None:
+        """A motion has ended by itself: a mode that stands says more of it than the error."""
+        with suppress(ClientError):
+            self._measured = arm.read()
+        seen = self._measured
+        found = faults.from_mode(seen.mode, seen.errors) if seen is not None else None
+        self._fail(found if found is not None and found.stands else faults.from_exception(error))
 
     def _look_after(self, arm: FciArm) -> None:
         if self._fault is not None and self._fault.code == "communication_lost":
@@ -267,6 +286,8 @@ class FciDriver:
         if self._fault != fault:
             log.error("Fault %s: %s %s", fault.code, fault.message, fault.hint)
         self._fault = fault
+        if self._measured is not None:
+            self._show()
 
     def _show(self) -> None:
         measured, fault = self._measured, self._fault
@@ -275,7 +296,8 @@ class FciDriver:
         is_open = None
         detail = {
             **described(measured, fault),
-            "watchdog_stops": str(self._watchdog_stops),
+            "watchdog_stops": str(self._watchdog_stops + measured.silences),
+            "missed_cycles": f"{measured.missed_cycles}, at most {measured.longest_gap} in a row",
             "realtime": self._options.realtime if self._options.realtime == "required" else _scheduled(self._arm),
         }
         if self._told is not None:
@@ -286,6 +308,7 @@ class FciDriver:
             position, velocity = np.append(position, [finger_m, finger_m]), np.append(velocity, [0.0, 0.0])
             is_open = float(np.clip(finger_m / FINGER_OPEN_M, 0.0, 1.0))
             detail["gripper"] = self._gripper.note
+            detail["holding"] = "true" if self._gripper.is_holding else "false"
         if self._scene is not None:
             detail |= self._scene.detail()
         self._state = RobotState(

@@ -1,7 +1,7 @@
 """Faults of the arm as states: one code, one sentence, and what a person does about it.
 
-Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions as seen with
-franky-control 2.0.0 against franka-sim 1.1.7.
+Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions (robot_impl.h) as
+seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI names no reason for the mode "Other".
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError, UnsafeError
+from roboneuron import ConfigurationError, NotReadyError, RefusedError, RoboNeuronError, UnsafeError
 
 _RECOVER = "then call recover_robot"
 
@@ -49,10 +49,40 @@ GUIDING = Fault(
 )
 NOT_OPERATIONAL = Fault(
     code="brakes_locked",
-    message="the arm is not ready to move: its brakes are locked, or it is being configured.",
-    hint=f"Unlock the joints and activate FCI in Desk, {_RECOVER}.",
+    message='the arm is not ready to move (robot mode "Other"): its brakes are closed, FCI is not active, a self-test '
+    "is due or running, or Desk is configuring it; the FCI does not say which.",
+    hint=f"In Desk: run the self-test if one is due, unlock the joints, choose Execution and activate FCI; {_RECOVER}. "
+    "recover_robot itself opens no brakes.",
     stands=True,
 )
+RECOVERING = Fault(
+    code="recovering",
+    message="the control box is still recovering from an error.",
+    hint=f"Wait a few seconds, {_RECOVER}.",
+    stands=True,
+)
+_SAFETY_FUNCTION = Fault(
+    code="safety_function",
+    message="a safety function of the control box is active: a self-test is due, or a safety rule has stopped the arm.",
+    hint=f"In Desk: look at the safety status, run the self-test or end what has triggered; {_RECOVER}.",
+)
+_WRONG_MODE = Fault(
+    code="not_possible_now",
+    message="the control box says that this is not possible in its present mode.",
+    hint=f"In Desk: joints unlocked, Execution chosen, FCI active, no error shown; {_RECOVER}.",
+)
+_MANUAL = Fault(
+    code="manual_recovery",
+    message="the control box wants a person to clear this error.",
+    hint=f"In Desk: follow the shown steps, such as guiding the arm back into its limits; {_RECOVER}.",
+)
+_STANDING = {"UserStopped": USER_STOP, "Guiding": GUIDING, "Other": NOT_OPERATIONAL}
+_STANDING["AutomaticErrorRecovery"] = RECOVERING
+_BY_TEXT = {
+    "safety function": _SAFETY_FUNCTION,
+    "manual error recovery": _MANUAL,
+    "not possible in the current mode": _WRONG_MODE,
+}
 
 _BY_ERROR = {
     "communication_constraints_violation": Fault(
@@ -82,6 +112,13 @@ def from_errors(errors: Iterable[str], mode: str) -> Fault:
             message=f"a joint reached a limit ({listed}).",
             hint=f"If it stands beyond its position limit, guide it back by hand; {_RECOVER}.",
         )
+    if named and all(name.endswith("_discontinuity") for name in named):
+        return Fault(
+            code="commands_disordered",
+            message=f"the arm counted a jump in its commands ({listed}). The driver sends none: packets came late, "
+            "twice or out of order.",
+            hint=f"Give the robot a network card of its own without a switch, run roboneuron fr3 check, {_RECOVER}.",
+        )
     return Fault(
         code="reflex",
         message=f"a reflex of the robot stopped it ({listed}).",
@@ -92,12 +129,8 @@ def from_errors(errors: Iterable[str], mode: str) -> Fault:
 def from_mode(mode: str, errors: Iterable[str]) -> Fault | None:
     """The fault that a measured state shows, or None in a state in which the arm can move."""
     named = tuple(errors)
-    if mode == "UserStopped":
-        return USER_STOP
-    if mode == "Guiding":
-        return GUIDING
-    if mode == "Other":
-        return NOT_OPERATIONAL
+    if mode in _STANDING:
+        return _STANDING[mode]
     if mode == "Reflex" or named:
         return from_errors(named, mode)
     return None
@@ -105,26 +138,61 @@ def from_mode(mode: str, errors: Iterable[str]) -> Fault | None:
 
 def from_exception(error: Exception) -> Fault:
     """The fault that an exception of the client library means during operation."""
-    kind, text = type(error).__name__, str(error).split("\n")[0]
-    if "planner failed" in text:
+    kind, text = _named(error)
+    if kind == "PlannerException":
         return Fault(
             code="planner_failed",
-            message=f"the client library found no motion to the target, and the robot stopped ({text}).",
+            message=f"no motion to the target was found, and the arm stopped ({text}).",
             hint=f"Lower dynamics_factor if it happens again; {_RECOVER}.",
+        )
+    if kind == "CommunicationLost":
+        return Fault(
+            code="communication_lost",
+            message=f"{text}, so the motion was ended.",
+            hint=_BY_ERROR["communication_constraints_violation"].hint,
         )
     if kind == "NetworkException":
         return Fault(
             code="communication_lost",
             message=f"the connection to the control box broke ({text}).",
-            hint=f"Check the cable and that the control box runs, {_RECOVER}: it connects anew.",
+            hint=f"Check the cable, that the control box runs and that FCI is still active in Desk, {_RECOVER}: it "
+            "connects anew.",
         )
+    for words, fault in _BY_TEXT.items():
+        if words in text:
+            return fault
     flags = text[text.find("[") + 1 : text.rfind("]")] if "[" in text else ""
     return from_errors([flag.strip(' "') for flag in flags.split(",") if flag.strip()] or [text], "Reflex")
 
 
+def settings_refused(text: str) -> Fault:
+    """The control box does not take its settings, as `text` of the client library says."""
+    return Fault(
+        code="settings_refused",
+        message=f"the control box does not take collision thresholds and load ({text}).",
+        hint=f"If Desk shows an error, do what it says; {_RECOVER}: it clears errors first and sets them afterwards.",
+    )
+
+
+def still(fault: Fault, error: Exception) -> RefusedError:
+    """The error for a recovery from `fault` that `error` ended; the fault stays as it is, however often it is tried."""
+    _, text = _named(error)
+    reasons = (found.message for words, found in _BY_TEXT.items() if words in text)
+    hint = next((found.hint for words, found in _BY_TEXT.items() if words in text), fault.hint)
+    return RefusedError(
+        f"The FR3 cannot be recovered ({fault.code}): {next(reasons, text)}",
+        hint=hint,
+    )
+
+
+def _named(error: Exception) -> tuple[str, str]:
+    """Class and first line of what the client library raised, here or in the control process."""
+    return getattr(error, "kind", type(error).__name__), str(error).split("\n")[0]
+
+
 def while_connecting(error: Exception, host: str) -> RoboNeuronError:
     """The error for an exception of the client library while it connects to `host`."""
-    kind, text = type(error).__name__, str(error).split("\n")[0]
+    kind, text = _named(error)
     if kind == "RealtimeException":
         return ConfigurationError(
             f"This machine's kernel is not real-time: {text}",
@@ -145,7 +213,7 @@ def unreachable(host: str, reason: str) -> NotReadyError:
     """Nobody answers at `host`."""
     return NotReadyError(
         f"Nobody answers at {host} on the FCI's port 1337: {reason}.",
-        hint="Check cable, address and that FCI is activated in Desk; for a simulator start it first.",
+        hint="Check the cable and the address. FCI is not active: activate it in Desk. A simulator: start it first.",
     )
 
 

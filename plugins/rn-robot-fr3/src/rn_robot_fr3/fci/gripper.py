@@ -29,7 +29,8 @@ class FciGripper:
 
     Attributes:
         width_m: last measured, 0 .. 0.08.
-        note: "moving", "open", "grasped", "nothing grasped", "blocked at ...", "at rest" or why it fails.
+        note: "moving", "at ...", "grasped ...", "nothing grasped", "blocked at ...", "at rest" or why it fails.
+        is_holding: it grasps something with force.
     """
 
     def __init__(self, options: FciDriverOptions, client: Any) -> None:
@@ -43,24 +44,34 @@ class FciGripper:
         self._stop = False
         self.width_m = 2 * FINGER_OPEN_M
         self.note = "at rest"
+        self.is_holding = False
 
     def open(self) -> None:
         """Connect. Raises NotReadyError when there is no gripper."""
         try:
             self._hand = self._client.Gripper(self._options.host)
             self.width_m = float(self._hand.state.width)
+            self.is_holding = bool(self._hand.state.is_grasped)
         except Exception as error:
             raise NotReadyError(
                 f"The robot at {self._options.host} has no gripper that answers: {str(error).splitlines()[0]}",
                 hint="Mount and configure the Franka Hand in Desk, or set gripper = false.",
             ) from error
-        self._stop = False
+        self._stop, self._wanted_m, self._done_m = False, None, None
+        if self.is_holding:
+            self.note = f"grasped {self.width_m * 1e3:.0f} mm"
         self._thread = threading.Thread(target=self._run, name="fci-gripper", daemon=True)
         self._thread.start()
 
     def aim(self, width_m: float) -> None:
-        """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts."""
+        """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts.
+
+        What is held stays held with force until a width asks for more room than it needs. So does what the hand held
+        before anything was commanded: to be where the fingers are is no command then.
+        """
         with self._changed:
+            if self._wanted_m is None and abs(width_m - self.width_m) <= _MISSED_M:
+                return
             if self._wanted_m is None or abs(width_m - self._wanted_m) > _SAME_M:
                 self._wanted_m = width_m
                 self._changed.notify()
@@ -91,26 +102,47 @@ class FciGripper:
                 if wanted is not None and wanted != self._done_m and not self._stop:
                     self._done_m = wanted
                     self._execute(wanted)
-                self.width_m = float(self._hand.state.width)
+                self._measure()
             except Exception as error:  # the thread's border; the next command tries again
                 self.note = f"failed: {str(error).splitlines()[0]}"
                 time.sleep(_PERIOD_S)
 
+    def _measure(self) -> None:
+        """Between two motions: the width, and whether what was held is still there."""
+        self.width_m = float(self._hand.state.width)
+        if self.is_holding and self.width_m < _NOTHING_M:
+            self.is_holding, self.note = False, "lost what it held"
+
     def _execute(self, width_m: float) -> None:
         self.note = "moving"
-        options, speed = self._options, self._options.gripper_speed_m_s
-        if width_m <= _CLOSED_M:
-            self._finish(self._hand.grasp_async(0.0, speed, options.grasp_force_n, 0.0, 2 * FINGER_OPEN_M))
-            self.width_m = float(self._hand.state.width)
-            self.note = "nothing grasped" if self.width_m < _NOTHING_M else f"grasped {self.width_m * 1e3:.0f} mm"
+        speed = self._options.gripper_speed_m_s
+        if self.is_holding and width_m < self.width_m + _SAME_M:
+            self.note = f"grasped {self.width_m * 1e3:.0f} mm"
             return
+        if width_m <= _CLOSED_M:
+            self._grasp()
+            return
+        self.is_holding = False
+        is_closing = width_m < self.width_m
         arrived = self._finish(self._hand.move_async(width_m, speed))
         self.width_m = float(self._hand.state.width)
         missed_m = abs(self.width_m - width_m)
+        if is_closing and self.width_m - width_m > _MISSED_M and not self._stop:
+            self._grasp()  # a motion that something blocks ends without force
+            return
         if not arrived or missed_m > _MISSED_M:
             self.note = f"blocked at {self.width_m * 1e3:.0f} mm on the way to {width_m * 1e3:.0f} mm"
         else:
             self.note = f"at {self.width_m * 1e3:.0f} mm"
+
+    def _grasp(self) -> None:
+        """Close with force on whatever there is."""
+        options = self._options
+        speed, force = options.gripper_speed_m_s, options.grasp_force_n
+        self._finish(self._hand.grasp_async(0.0, speed, force, 0.0, 2 * FINGER_OPEN_M))
+        self.width_m = float(self._hand.state.width)
+        self.is_holding = self.width_m >= _NOTHING_M
+        self.note = f"grasped {self.width_m * 1e3:.0f} mm" if self.is_holding else "nothing grasped"
 
     def _finish(self, future: Any) -> bool:
         """Wait for a motion to end and measure on the way."""

@@ -22,14 +22,11 @@ class FciDriverOptions(BaseModel):
         default="required",
         description="required refuses a kernel without PREEMPT_RT, as libfranka does; ignored is for simulators.",
     )
-    # The client library (franky 2.0.0) counts a missed cycle twice: its next commands have up to 1.5 times the
-    # acceleration and a jerk of 1000/s * acceleration more. Up to 0.5 this stays within the arm's limits: docs/fr3.md.
     dynamics_factor: Annotated[float, ConfigurationOnly()] = Field(
         default=0.3,
         gt=0.0,
         le=0.5,
-        description="Share of velocity, acceleration and jerk that motions may use; a stop uses all of it. Where the "
-        "kernel is not real-time (simulators), 0.12 withstands longer gaps of the control thread.",
+        description="Share of velocity, acceleration and jerk that motions may use; a stop uses all of it.",
     )
     collision_torque_nm: Annotated[float, ConfigurationOnly()] = Field(
         default=20.0, gt=0.0, le=100.0, description="External joint torque that triggers a reflex."

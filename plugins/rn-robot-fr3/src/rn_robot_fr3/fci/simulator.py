@@ -23,6 +23,7 @@ from types import TracebackType
 from typing import Any
 
 from rn_robot_fr3.description import urdf
+from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.world import (
@@ -35,7 +36,7 @@ from rn_robot_fr3.world import (
 )
 from roboneuron import NotReadyError
 
-SCENE_PORT = 1339
+PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 _START_S = 60.0
 _STOP_S = 20.0
 _PRIORITY = 30
@@ -65,8 +66,12 @@ class FrankaSim:
         options: further arguments, such as "--enforce-motion-limits".
         log: where its output goes.
         port: UDP port of its scene.
-        host: address that it serves on.
+        host: address that it serves on; none chooses one of 127.0.0.0/8 that is free.
         prefix: what its command begins with, such as "nsenter" and its arguments.
+
+    Attributes:
+        host: address that it serves on.
+        process: the child, once it is started.
     """
 
     def __init__(
@@ -77,11 +82,11 @@ class FrankaSim:
         options: Sequence[str] = (),
         log: Path,
         port: int = SCENE_PORT,
-        host: str = "127.0.0.1",
+        host: str | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
         self._python = python
-        self._host = host
+        self.host = host or free_address(PORT, GRIPPER_PORT, port)
         self._prefix = prefix
         self._options = options
         self._seed = seed
@@ -94,7 +99,7 @@ class FrankaSim:
         path = Path(self._folder.name) / "scene.json"
         path.write_text(json.dumps(scene(self._seed)), encoding="utf-8")
         script = str(files("rn_robot_fr3").joinpath("data/franka_sim_scene.py"))
-        ours = [str(self._python), script, str(path), "--scene-port", str(self._port), "--host", self._host]
+        ours = [str(self._python), script, str(path), "--scene-port", str(self._port), "--host", self.host]
         command = [*self._prefix, *ours, *self._options]
         self._log.parent.mkdir(parents=True, exist_ok=True)
         with self._log.open("wb") as output:
@@ -122,11 +127,16 @@ class FrankaSim:
                 process.wait()
         self._folder.cleanup()
 
+    @property
+    def scene_address(self) -> str:
+        """host:port of its scene, as the driver's option `scene` has it."""
+        return f"{self.host}:{self._port}"
+
     def tell(self, **what: int) -> dict[str, Any]:
         """Ask for the scene; with mode= or error= play the person at the arm, or a reflex. Raises OSError."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(2.0)
-            asking.connect((self._host, self._port))
+            asking.connect((self.host, self._port))
             asking.send(json.dumps(what).encode())
             answer: dict[str, Any] = json.loads(asking.recv(65536))
             return answer
@@ -139,19 +149,22 @@ class FrankaSim:
             return False
 
     def _listens(self) -> bool:
-        with contextlib.closing(socket.create_connection((self._host, 1337), 2.0)):
+        with contextlib.closing(socket.create_connection((self.host, PORT), 2.0)):
             return True
 
 
 def main() -> int:
     """Run until interrupted."""
-    parser = argparse.ArgumentParser(description="franka-sim with a table and cubes, on 127.0.0.1.")
+    parser = argparse.ArgumentParser(description="franka-sim with a table and cubes.")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve on; another one for a second simulator")
     parser.add_argument("--python", type=Path, default=Path(".venv-fr3sim/bin/python"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, default=Path("out/franka-sim.log"))
     arguments, options = parser.parse_known_args()
-    with FrankaSim(arguments.python, seed=arguments.seed, options=options, log=arguments.log) as sim:
-        print(f"franka-sim serves scene {arguments.seed} on 127.0.0.1; log: {arguments.log}", flush=True)
+    with FrankaSim(
+        arguments.python, seed=arguments.seed, options=options, log=arguments.log, host=arguments.host
+    ) as sim:
+        print(f"franka-sim serves scene {arguments.seed} on {sim.host}; log: {arguments.log}", flush=True)
         assert sim.process is not None
         with contextlib.suppress(KeyboardInterrupt):
             sim.process.wait()

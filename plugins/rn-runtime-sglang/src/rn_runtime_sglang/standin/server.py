@@ -190,6 +190,9 @@ class _Handler(BaseHTTPRequestHandler):
             owner.wait(rid, 60.0)
             return
         aborted = owner.wait(rid, told.delay_s) if told.delay_s else False
+        if owner.released.is_set():  # A killed server answers nobody, not even those it made wait.
+            self.close_connection = True
+            return
         tokens = expected_tokens(body["input_ids"], base64.b64decode(body["image_data"]), count)
         finish: dict[str, Any] = {"type": "length", "length": count}
         if aborted:

@@ -15,8 +15,8 @@ from rn_testing.fakes.engine import (
 from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradient_image
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
-from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
-from roboneuron.plugins.specs import Spec
+from roboneuron import Spec
+from roboneuron.feature import Offer, PluginRecord, Registry, Status
 
 FAKE_SPECS: tuple[Spec, ...] = (
     FAKE_BACKEND,
@@ -32,9 +32,14 @@ FAKE_SPECS: tuple[Spec, ...] = (
 def fake_registry(*more: Spec) -> Registry:
     """A registry that holds the fakes and `more`, all ready, as if one plugin had offered them."""
     specs = (*FAKE_SPECS, *more)
-    offers = tuple(Offer(spec=s, distribution="rn-fakes", status=Status.READY) for s in specs)
+    offers = tuple(Offer(spec=s, plugin="rn-fakes", distribution="rn-fakes", status=Status.READY) for s in specs)
     record = PluginRecord(
-        distribution="rn-fakes", version="1.0", module="rn_testing.fakes", status=Status.READY, offers=offers
+        name="rn-fakes",
+        distribution="rn-fakes",
+        version="1.0",
+        module="rn_testing.fakes",
+        status=Status.READY,
+        offers=offers,
     )
     return Registry(plugins=(record,), all_offers=offers)
 

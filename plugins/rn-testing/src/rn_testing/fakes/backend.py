@@ -7,9 +7,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rn_testing.fakes.perception import gradient_image
 from rn_testing.fakes.robot import gantry_profile
-from roboneuron.contract import ActionChunk, AnyAcceleration, AnyRuntime, Frame, JointSample, Observation, Pose
-from roboneuron.errors import InvalidInputError, StateError, UnsafeError
-from roboneuron.plugins.specs import ActionSpace, BackendSpec
+from roboneuron import (
+    ActionChunk,
+    ActionSpace,
+    AnyAcceleration,
+    AnyRuntime,
+    BackendSpec,
+    Frame,
+    InvalidInputError,
+    JointSample,
+    Observation,
+    Pose,
+    StateError,
+    UnsafeError,
+)
 
 
 class InstantOptions(BaseModel):

@@ -8,10 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_testing.fakes.robot import HINGES, SLIDES
-from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, RobotProfile, apply_delta
-from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
-from roboneuron.errors import ConfigurationError, StateError, UnsafeError
-from roboneuron.plugins.specs import ControllerSpec
+from roboneuron import (
+    Action,
+    ConfigurationError,
+    ControllerSpec,
+    Hold,
+    JointCommand,
+    JointSample,
+    Pose,
+    RobotProfile,
+    StateError,
+    UnsafeError,
+    apply_delta,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    quaternion_from_matrix,
+)
 
 F64 = NDArray[np.float64]
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from roboneuron.contract.protocols import Acceleration
-from roboneuron.errors import InvalidInputError, StateError
-from roboneuron.plugins.specs import AccelerationSpec, RuntimeSpec
+from roboneuron import Acceleration, AccelerationSpec, InvalidInputError, RuntimeSpec, StateError
 
 FAMILY = "fake"
 """Model family of the fakes."""

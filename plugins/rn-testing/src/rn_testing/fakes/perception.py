@@ -9,9 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract import CameraProfile, Frame, Topics
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError
-from roboneuron.plugins.specs import PerceptionSpec
+from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, PerceptionSpec, StateError, Topics
 
 
 def gradient_image(width: int = 64, height: int = 48, shade: int = 0) -> NDArray[np.uint8]:

@@ -9,20 +9,23 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.contract import (
+from roboneuron import (
     CameraProfile,
+    CameraSpec,
+    DriverSpec,
     Endpoint,
     GripperProfile,
+    InvalidInputError,
     JointCommand,
     JointLimits,
     JointSample,
     RobotProfile,
+    RobotSpec,
     RobotState,
+    StateError,
     Topics,
     Workspace,
 )
-from roboneuron.errors import InvalidInputError, StateError
-from roboneuron.plugins.specs import CameraSpec, DriverSpec, RobotSpec
 
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """Prismatic joints, base to tip, along the axes of the base frame."""
@@ -134,6 +137,11 @@ class FakeDriver:
         share = 1.0 if passed_s >= self._duration_s else passed_s / self._duration_s
         return {name: start + share * (self._goal[name] - start) for name, start in self._start.items()}
 
+    def _velocity(self, name: str) -> float:
+        assert self._start is not None
+        is_moving = time.monotonic() - self._begun_s < self._duration_s
+        return (self._goal[name] - self._start[name]) / self._duration_s if is_moving else 0.0
+
     def read(self) -> RobotState:
         """Where the joints are now; raises StateError unless open."""
         positions = self._positions()
@@ -142,7 +150,7 @@ class FakeDriver:
             joints=JointSample(
                 names=tuple(positions),
                 position=np.array(list(positions.values())),
-                velocity=np.zeros(len(positions)),
+                velocity=np.array([self._velocity(name) for name in positions]),
                 stamp_ns=self._topics.now_ns(),
             ),
             gripper_open=None if gripper is None else gripper.to_opening(positions[gripper.joint]),
@@ -195,6 +203,7 @@ FAKE_ROBOT = RobotSpec(
             summary="Moves in memory, by the clock.",
             target="rn_testing.fakes.robot:FakeDriver",
             config="rn_testing.fakes.robot:FakeDriverOptions",
+            simulated=True,
         ),
     ),
     cameras=(CameraSpec(name="front", role="primary"), CameraSpec(name="hand", role="wrist")),

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
-from roboneuron.plugins.discovery import discover_from
-from roboneuron.plugins.registry import Registry
+from roboneuron.feature import Registry, discover_from
 
 HEADER = """\
 from roboneuron.plugins.hookspecs import hookimpl

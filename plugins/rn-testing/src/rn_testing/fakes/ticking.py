@@ -9,9 +9,7 @@ import time
 from collections.abc import Sequence
 
 from rn_testing.fakes import FAKE_SPECS, gradient_image
-from roboneuron import Frame, PerceptionSpec, hookimpl
-from roboneuron.contract import CameraProfile, Topics
-from roboneuron.plugins.specs import Spec
+from roboneuron import CameraProfile, Frame, PerceptionSpec, Spec, Topics, hookimpl
 
 
 class TickingSource:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rn_testing.kinds import brought_kind
 from rn_testing.rule import Rule
 from rn_testing.rules import (
     acceleration,
@@ -21,6 +22,8 @@ from rn_testing.rules import (
     runtime,
 )
 
+OF_EVERY_DESCRIPTOR: tuple[Rule[Any], ...] = (*descriptor.RULES, *restricted.RULES)
+"""Rules that apply to descriptors of any kind with options."""
 RULES: dict[str, tuple[Rule[Any], ...]] = {
     "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES, *backend_observation.RULES),
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
@@ -36,8 +39,11 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
 
 
 def rules_of(kind: str) -> tuple[Rule[Any], ...]:
-    """Rules by kind of descriptor; of a kind that another plugin has brought, those of every descriptor."""
-    return RULES.get(kind, descriptor.RULES)
+    """Rules by kind of descriptor; of a kind that another plugin has brought those it names, of every one at least."""
+    if kind in RULES:
+        return RULES[kind]
+    brought = brought_kind(kind)
+    return OF_EVERY_DESCRIPTOR if brought is None else brought.rules
 
 
-__all__ = ["RULES", "rules_of"]
+__all__ = ["OF_EVERY_DESCRIPTOR", "RULES", "rules_of"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -9,12 +11,12 @@ from rn_testing.attempts import attempt
 from rn_testing.cases import AccelerationCase
 from rn_testing.deadline import bounded
 from rn_testing.effects import check_memory, expect_refusal
-from rn_testing.lifecycle import PURE, check_protocol, check_pure_constructor
+from rn_testing.lifecycle import ALONE, PURE, check_protocol, check_pure_constructor
 from rn_testing.options import OPTIONS_READ, check_options_read
+from rn_testing.process_state import find_changes
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.snapshots import snapshot
-from roboneuron.contract import Acceleration
-from roboneuron.errors import ConfigurationError, InvalidInputError
+from roboneuron import Acceleration, ConfigurationError, InvalidInputError
 
 
 class _Foreign:
@@ -111,9 +113,28 @@ def _check_after_refusal(case: AccelerationCase) -> None:
 
 
 def _check_memory(case: AccelerationCase) -> None:
+    """A decoder that was used is gone when nobody else holds it; it may be gigabytes."""
     decoder = _decoder(case)
     preset = _built(case)
-    check_memory(lambda: preset.apply(decoder()), "apply")
+    seen = [decoder() for _ in range(2)]
+    for one in seen:
+        preset.apply(one)
+    try:
+        held = [weakref.ref(one) for one in seen]
+    except TypeError:  # of a class with slots; then only what it weighs can be measured
+        check_memory(lambda: preset.apply(decoder()), "apply")
+        return
+    del one
+    seen.clear()
+    gc.collect()
+    kept = sum(reference() is not None for reference in held)
+    require(kept < len(held), f"{kept} of {len(held)} decoders are still held after `apply`, by preset or module")
+
+
+def _check_process(case: AccelerationCase) -> None:
+    decoder = _decoder(case)
+    changes = find_changes(lambda: _built(case).apply(decoder()))
+    require(not changes, f"it {'; '.join(changes)}")
 
 
 _SOURCE = "roboneuron.contract.protocols.Acceleration"
@@ -131,14 +152,15 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
         "roboneuron.plugins.specs.AccelerationSpec",
         _check_declared,
     ),
+    # the first that applies a preset: what is done to a class is done once, and then looks as if it had always been so
+    _rule(
+        "contained", "`apply` changes the decoder it is given and nothing else.", f"{_SOURCE}.apply", _check_contained
+    ),
     _rule("constructor-pure", PURE, "roboneuron.contract.protocols", check_pure_constructor),
     _rule("options-read", OPTIONS_READ, _SOURCE, _check_options),
     _rule("applies", "`apply` changes a decoder that has the capability.", f"{_SOURCE}.apply", _check_apply),
     _rule("applies-again", "One preset can be applied to a second decoder.", f"{_SOURCE}.apply", _check_again),
     _rule("applies-once", "A second `apply` to one decoder adds nothing.", f"{_SOURCE}.apply", _check_twice),
-    _rule(
-        "contained", "`apply` changes the decoder it is given and nothing else.", f"{_SOURCE}.apply", _check_contained
-    ),
     _rule(
         "foreign-decoder-refused",
         "A decoder that the preset does not know is refused and is left as it is.",
@@ -147,5 +169,6 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
     ),
     _rule("works-after-refusal", "After a refusal `apply` works.", f"{_SOURCE}.apply", _check_after_refusal),
     _rule("memory-bounded", "The preset does not keep the decoders.", f"{_SOURCE}.apply", _check_memory),
+    _rule("process-left-alone", ALONE, f"{_SOURCE}.apply", _check_process),
 )
 """Rules of accelerations."""

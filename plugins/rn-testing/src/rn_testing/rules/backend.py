@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,15 +11,26 @@ import numpy as np
 from rn_testing.cases import BackendCase
 from rn_testing.effects import check_quick
 from rn_testing.lifecycle import Lifecycle
-from rn_testing.rule import NotApplicable, Rule, require
+from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.continuing import ContinuingRules
 from rn_testing.snapshots import snapshot
-from roboneuron.contract import ActionChunk, Backend, Frame, Observation
-from roboneuron.contract.image import U8
-from roboneuron.errors import RoboNeuronError, UngroundedError
+from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError, UngroundedError
+from roboneuron.feature import U8
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
 """Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below 1 m/s."""
+LONGEST_NOTE, MOST_METRICS = 300, 100
+"""Characters of a note and metrics of a chunk: all are shown in every status, to people and agents."""
+ROW_OPTIONS = ("horizon", "rows", "chunk_size", "chunk_length", "action_horizon", "actions_per_chunk")
+"""Options by which backends let the user choose how many rows a chunk has."""
+INSTRUCTIONS = {
+    "no instruction": "",
+    "an instruction of spaces": "   ",
+    "an instruction in another script": "拿起红色的方块 — отпусти 🟥",
+    "an instruction of two lines": "pick up\nthe cube",
+    "an instruction of 2,000 characters": "pick it up " * 180,
+}
+"""What people type, beside what a policy was trained on."""
 REPEATED = 1e-3
 """How far a repeated prediction may differ: what parallel sums on a GPU round differently [m, rad, opening]."""
 
@@ -39,8 +51,19 @@ def predict(case: BackendCase, backend: Backend, observation: Observation | None
     return chunk
 
 
+def _predict_blind(case: BackendCase, backend: Backend) -> object:
+    return backend.predict(replace(case.observation(), frames={}))
+
+
 LIFECYCLE: Lifecycle[BackendCase, Backend] = Lifecycle(
-    subject="backend", protocol=Backend, begin="load", start=_load, uses={"predict": predict}, repeat=10
+    subject="backend",
+    protocol=Backend,
+    begin="load",
+    start=_load,
+    uses={"predict": predict},
+    abuses=(_predict_blind,),
+    besides=("reset",),
+    repeat=10,
 )
 """How a backend is started and used."""
 loaded = LIFECYCLE.running
@@ -63,9 +86,46 @@ def _check_predict(case: BackendCase) -> None:
 def _check_metrics(case: BackendCase) -> None:
     with loaded(case) as backend:
         chunk = predict(case, backend)
-    odd = [name for name, value in chunk.metrics.items() if not isinstance(value, (int, float))]
-    require(not odd, f"metrics that are no numbers: {', '.join(odd)}")
+    odd = [n for n, v in chunk.metrics.items() if not isinstance(v, (int, float)) or not math.isfinite(v)]
+    require(not odd, f"metrics that are no finite numbers: {', '.join(odd)}")
+    count = len(chunk.metrics)
+    require(count <= MOST_METRICS, f"a chunk has {count} metrics, at most {MOST_METRICS} are shown")
     require("\n" not in chunk.note, "the note has more than one line")
+    length = len(chunk.note)
+    require(length <= LONGEST_NOTE, f"the note has {length} characters, expected one short sentence")
+
+
+def _rows_wanted(case: BackendCase) -> int | None:
+    """How many rows a chunk has: as an option says that the case sets, or as the descriptor does; None for any."""
+    names = [name for name in ROW_OPTIONS if name in case.option_names()]
+    if names:
+        value = case.options[names[0]]
+        return value if isinstance(value, int) else None
+    model = case.option_model()
+    regulated = model is not None and any(name in model.model_fields for name in ROW_OPTIONS)
+    is_fixed = case.spec.action_space.step_s > 0  # else checkpoint or server decide on rows as on the step
+    return case.spec.action_space.horizon if is_fixed and not regulated else None
+
+
+def _check_rows(case: BackendCase) -> None:
+    wanted = _rows_wanted(case) if case.rows is None else case.rows
+    if wanted is None:
+        raise NotApplicable("options or checkpoint decide how many rows a chunk has; name them as `rows` in the case")
+    with loaded(case) as backend:
+        count = len(predict(case, backend).actions)
+    require(count == wanted, f"a chunk holds {count} actions, declared are {wanted}")
+
+
+def _check_instructions(case: BackendCase) -> None:
+    observation = case.observation()
+    with loaded(case) as backend:
+        for what, text in INSTRUCTIONS.items():
+            try:
+                backend.predict(replace(observation, instruction=text))
+            except RoboNeuronError:
+                continue
+            except Exception as error:
+                raise Violation(f"predict with {what} raised {type(error).__name__}: {error}") from error
 
 
 def _check_units(case: BackendCase) -> None:
@@ -165,9 +225,21 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "metrics-numeric",
-        "The metrics of a chunk are numbers and its note is one line.",
+        "The metrics of a chunk are finite numbers, not too many, and its note is one short line.",
         "roboneuron.contract.action.ActionChunk",
         _check_metrics,
+    ),
+    backend_rule(
+        "rows-declared",
+        "A chunk has as many rows as the descriptor's horizon, or as an option or the case says.",
+        "roboneuron.plugins.specs.ActionSpace",
+        _check_rows,
+    ),
+    backend_rule(
+        "any-instruction",
+        "`predict` acts on any instruction or refuses it with an error of roboneuron.errors.",
+        f"{_SOURCE}.predict",
+        _check_instructions,
     ),
     backend_rule(
         "units",

@@ -13,8 +13,7 @@ from rn_testing.fakes import gradient_image
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.rules.backend import REPEATED, backend_rule, loaded, predict, with_images
 from rn_testing.snapshots import snapshot
-from roboneuron.contract import Backend, Observation
-from roboneuron.errors import InvalidInputError, RoboNeuronError, UngroundedError
+from roboneuron import Backend, InvalidInputError, Observation, RoboNeuronError, UngroundedError
 
 _SOURCE = "roboneuron.contract.protocols.Backend"
 

@@ -8,8 +8,9 @@ from argparse import ArgumentParser
 
 from rn_testing.attempts import attempt
 from rn_testing.cases import CommandCase
-from rn_testing.effects import HEAVY_MODULES
+from rn_testing.effects import HEAVY_MODULES, find_effects
 from rn_testing.lifecycle import PURE, check_pure_constructor
+from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
 
 _HEAVY = (*HEAVY_MODULES, "rclpy", "mcp")
@@ -31,10 +32,20 @@ def _check_help(case: CommandCase) -> None:
     require(not bare, f"it has arguments without help: {', '.join(bare)}")
 
 
+def _check_configure(case: CommandCase) -> None:
+    made = attempt(case, case.build)
+    parser = ArgumentParser(prog=f"roboneuron {case.spec.name}")
+    _, effects = find_effects(lambda: made.configure(parser))
+    require(not effects, f"configure {'; '.join(effects)}; that belongs into `run`")
+    changes = find_changes(lambda: made.configure(ArgumentParser(prog="roboneuron")))
+    require(not changes, f"configure {'; '.join(changes)}")
+
+
 def _check_light(case: CommandCase) -> None:
     module = case.spec.target.partition(":")[0]
     script = f"import sys, {module}; print(*[m for m in {_HEAVY!r} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    command = [sys.executable, "-P", "-c", script]  # no file of the working directory stands for a module
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     require(done.returncode == 0, f"importing {module} fails: {done.stderr.strip()[-300:]}")
     require(not done.stdout.strip(), f"importing {module} imports {done.stdout.strip()}; do that in `run`")
 
@@ -44,6 +55,12 @@ _SOURCE = "roboneuron.cli.commands.CommandModule"
 RULES: tuple[Rule[CommandCase], ...] = (
     Rule(id="command/protocol", text="It has `configure` and `run`.", source=_SOURCE, check=_check_protocol),
     Rule(id="command/constructor-pure", text=PURE, source=_SOURCE, check=check_pure_constructor),
+    Rule(
+        id="command/configure-pure",
+        text="`configure` declares arguments and does nothing else: it runs for `--help` too.",
+        source=_SOURCE,
+        check=_check_configure,
+    ),
     Rule(id="command/help", text="Class and arguments say what they do.", source=_SOURCE, check=_check_help),
     Rule(
         id="command/light",

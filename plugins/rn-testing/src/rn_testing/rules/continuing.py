@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rn_testing.cases import BackendCase
 from rn_testing.rule import NotApplicable, Rule, require
-from roboneuron.contract import ActionChunk, Ahead, Backend, Observation
+from roboneuron import ActionChunk, Ahead, Backend, Observation
 
 Predict = Callable[[BackendCase, Backend, Observation], ActionChunk]
 COMMITTED = 3

@@ -24,8 +24,7 @@ from rn_testing.effects import expect_refusal
 from rn_testing.kinematics import place_tcp
 from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.errors import RoboNeuronError, UnsafeError
+from roboneuron import Action, Controller, Hold, JointCommand, JointSample, RoboNeuronError, UnsafeError
 
 STEP_S = 0.1
 """Time the rules give an action."""
@@ -41,6 +40,17 @@ def _load(case: ControllerCase, controller: Controller) -> None:
     controller.load()
 
 
+_NOTHING = JointSample(names=(), position=np.zeros(0))
+
+
+def _forward_nothing(case: ControllerCase, controller: Controller) -> object:
+    return controller.forward(_NOTHING)
+
+
+def _compute_nothing(case: ControllerCase, controller: Controller) -> object:
+    return controller.compute(make_action(0.001), _NOTHING, STEP_S)
+
+
 LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
     subject="controller",
     protocol=Controller,
@@ -50,6 +60,7 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
         "compute": lambda case, controller: controller.compute(make_action(0.001), home_sample(case.robot()), STEP_S),
         "forward": lambda case, controller: controller.forward(home_sample(case.robot())),
     },
+    abuses=(_forward_nothing, _compute_nothing),
 )
 """How a controller is started and used."""
 loaded = LIFECYCLE.running

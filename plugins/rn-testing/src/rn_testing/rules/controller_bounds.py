@@ -7,12 +7,15 @@ import numpy as np
 from rn_testing.cases import ControllerCase
 from rn_testing.commands import arm_sample, by_name, check_arrives, check_command, home_sample, make_action
 from rn_testing.effects import check_quick
+from rn_testing.kinematics import read_chain
 from rn_testing.rule import Rule, require
-from rn_testing.rules.controller import STEP_S, compute, controller_rule, loaded
-from roboneuron.contract import Hold, JointCommand
+from rn_testing.rules.controller import RESIDUAL_M, RESIDUAL_RAD, STEP_S, compute, controller_rule, loaded
+from roboneuron import Hold, JointCommand, RobotProfile
 
 MAX_STEP = 0.3
 """Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
+WALK_M, WALK_S = 0.05, 0.5
+"""Steps towards the end of the reach, and the time for one."""
 COMPUTE_LIMIT_S = 0.05
 """Bound on the quickest of some `compute`: half of the time between two actions."""
 
@@ -53,6 +56,37 @@ def _check_limits(case: ControllerCase) -> None:
                             check_arrives(result, action, joints, profile)
 
 
+def _reach_m(profile: RobotProfile) -> float:
+    """Farther from its base no arm of this URDF can put its TCP."""
+    chain = read_chain(profile)
+    slides = sum(joint.upper - joint.lower for joint in chain if joint.kind == "prismatic")
+    return sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in chain) + slides
+
+
+def _check_reach(case: ControllerCase) -> None:
+    """Step by step to the end of the reach and beyond: the way may end early, but not with a false word."""
+    profile = case.robot()
+    names, far_m = profile.arm_joints, 2 * _reach_m(profile)
+    with loaded(case) as controller:
+        for axis in range(3):
+            for sign in (1, -1):
+                joints, walked_m = home_sample(profile), 0.0
+                action = make_action(*(sign * WALK_M * np.eye(6)[axis]))
+                while walked_m <= far_m:
+                    result = compute(controller, action, joints, WALK_S)
+                    if isinstance(result, Hold):
+                        break
+                    check_command(result, joints, profile, WALK_S)
+                    check_arrives(result, action, joints, profile)
+                    short = f"a target is missed by {result.residual_m:.4f} m, {result.residual_rad:.4f} rad"
+                    good = result.residual_m <= RESIDUAL_M and result.residual_rad <= RESIDUAL_RAD
+                    require(good, f"{short} and not refused")
+                    reached = {**by_name(joints), **by_name(result)}
+                    joints = arm_sample(profile, np.array([reached[name] for name in names]))
+                    walked_m += WALK_M
+                require(walked_m <= far_m, f"a target {walked_m:.1f} m away, beyond the reach, was not refused")
+
+
 def _check_fast(case: ControllerCase) -> None:
     profile = case.robot()
     joints = home_sample(profile)
@@ -76,6 +110,11 @@ RULES: tuple[Rule[ControllerCase], ...] = (
         "far-targets-harmless",
         "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad per joint.",
         _check_far,
+    ),
+    controller_rule(
+        "reach-kept",
+        "On the way out of reach every command ends where its residual says, and what cannot be reached is refused.",
+        _check_reach,
     ),
     controller_rule("limits-kept", "Near a joint limit no command leaves it, and its residual is true.", _check_limits),
     controller_rule(

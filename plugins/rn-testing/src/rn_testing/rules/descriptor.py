@@ -7,11 +7,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from rn_testing import case_options
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from roboneuron.plugins.descriptor import check_spec
-from roboneuron.plugins.loading import load_attribute, load_options_model, load_target
-from roboneuron.plugins.specs import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
+from roboneuron import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
+from roboneuron.feature import check_spec, load_attribute, load_options_model, load_target
 
 AnyCase = Case[Any]
 
@@ -142,5 +142,6 @@ RULES: tuple[Rule[AnyCase], ...] = (
         source="roboneuron.plugins.specs.Spec",
         check=_check_case,
     ),
+    *case_options.RULES,
 )
 """Rules that apply to every kind."""

@@ -16,10 +16,8 @@ from rn_testing.fakes import MemoryTopics
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
-from roboneuron.contract import JointCommand, JointLimits, RobotDriver, RobotState
-from roboneuron.contract.arrays import F64
-from roboneuron.errors import InvalidInputError, RoboNeuronError
-from roboneuron.plugins.loading import load_options_model, load_target
+from roboneuron import InvalidInputError, JointCommand, JointLimits, RoboNeuronError, RobotDriver, RobotState
+from roboneuron.feature import F64, load_options_model, load_target
 
 READ_LIMIT_S = 0.02
 """Median time of a `read`: the contract says a millisecond; the rest is for busy machines."""
@@ -87,6 +85,10 @@ def _send_home(case: RobotCase, driver: RobotDriver) -> object:
     return driver.send(arm_command(case, home))
 
 
+def _send_nonsense(case: RobotCase, driver: RobotDriver) -> object:
+    return driver.send(JointCommand(names=("no_such_joint",), position=np.zeros(1), duration_s=0.5))
+
+
 def _open(case: RobotCase, driver: RobotDriver) -> None:
     driver.open()
 
@@ -97,6 +99,7 @@ LIFECYCLE: Lifecycle[RobotCase, RobotDriver] = Lifecycle(
     begin="open",
     start=_open,
     uses={"read": lambda case, driver: driver.read(), "send": _send_home, "hold": lambda case, driver: driver.hold()},
+    abuses=(_send_nonsense,),
 )
 """How a driver is started and used."""
 

@@ -12,9 +12,9 @@ from rn_testing.cases import RobotCase
 from rn_testing.effects import wait_until
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.driver import arm_command, arm_limits, arm_position, driver_rule, opened, read_state
-from roboneuron.contract import JointCommand, RobotDriver
-from roboneuron.contract.arrays import F64
-from roboneuron.errors import RoboNeuronError
+from rn_testing.rules.perception import ros_clock
+from roboneuron import JointCommand, RoboNeuronError, RobotDriver
+from roboneuron.feature import F64
 
 HOLD_S = 0.3
 """How long the robot is watched after `hold`."""
@@ -22,6 +22,16 @@ AHEAD = 0.35
 """How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are at 1."""
 FAR = 20
 """Steps of the case in a motion that is watched."""
+CREEP = 0.1
+"""How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
+MOTION_S, LOOKS, MOST_GAPS = 0.6, 4, 3
+"""Least duration of a motion whose velocities are added up, how often it is tried, and into how many parts at least the
+states divide it."""
+SLOWEST, FASTEST = 0.1, 10.0
+"""Sum of the velocities over the way: degrees are 57, another sign is negative; a simulation that runs behind the clock
+on a busy machine tells velocities of its own time, so that this is no narrow bound."""
+STARTS, STALE_S = 5, 0.3
+"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays one, not all."""
 OPENINGS = (0.5, 0.0, 1.0)
 """Openings that the gripper is sent to."""
 OPENING_TOLERANCE = 0.15
@@ -158,16 +168,106 @@ def _check_hold(case: RobotCase) -> None:
         duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
         with suppress(RoboNeuronError):  # a driver may refuse a step as large as this; then it is held where it is
             driver.send(arm_command(case, goal, duration_s))
-        before = arm_position(case, driver)
+            wait_until(lambda: _moved(case, driver, start) >= case.step, case.settle_s)  # away from where it stood
+        before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
         driver.hold()
         wait_until(lambda: False, HOLD_S)  # braking takes a moment
-        held = arm_position(case, driver)
-        wait_until(lambda: False, HOLD_S)
-        moved = float(np.abs(arm_position(case, driver) - held).max())
-        jumped = float(np.abs(held - before).max())
-    require(moved <= case.tolerance, f"after hold() a joint moved on by {moved:.4f} in {HOLD_S} s")
+        held = [arm_position(case, driver)]
+        for _ in range(3):
+            wait_until(lambda: False, HOLD_S / 2)
+            held.append(arm_position(case, driver))
+        held_opening = read_state(case, driver).gripper_open
+    if opening is not None and held_opening is not None:
+        kept = abs(held_opening - opening) <= OPENING_TOLERANCE
+        require(kept, f"hold() moved the gripper from {opening:.2f} to {held_opening:.2f}; it may hold something")
+    moved = float(np.abs(held[-1] - held[0]).max())
+    jumped = float(np.abs(held[0] - before).max())
+    require(moved <= case.tolerance, f"after hold() a joint moved on by {moved:.4f} in {1.5 * HOLD_S:g} s")
     allowed = 0.25 * FAR * case.step + case.tolerance
     require(jumped <= allowed, f"hold() moved a joint by {jumped:.4f}")
+    steps = np.diff(np.array(held), axis=0)
+    one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (np.abs(steps[-1]) >= 0.5 * np.abs(steps[0]))
+    creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())  # what settles slows down, and what is noise turns
+    require(creeps <= CREEP * case.tolerance, f"after hold() a joint creeps on, {creeps:.5f} in {1.5 * HOLD_S:g} s")
+
+
+def _moved(case: RobotCase, driver: RobotDriver, start: F64) -> float:
+    return float(np.abs(arm_position(case, driver) - start).max())
+
+
+def _check_open_still(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        wait_until(lambda: False, HOLD_S)
+        moved = _moved(case, driver, start)
+    require(moved <= case.tolerance, f"nobody sent anything, and after open() a joint moved by {moved:.4f}")
+
+
+def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -> F64:
+    """Stamp [s], position and velocity (n, 3) of the last arm joint while it moves, each stamp once."""
+    name = case.profile().arm_joints[-1]
+    found: dict[int, tuple[float, float, float]] = {}
+
+    def look() -> bool:
+        joints = read_state(case, driver).joints
+        index = joints.names.index(name)
+        if joints.velocity is not None:
+            stamp_s = joints.stamp_ns / 1e9 % 1e6  # of the whole clock a float keeps no microseconds
+            found[joints.stamp_ns] = (stamp_s, float(joints.position[index]), float(joints.velocity[index]))
+        return False
+
+    wait_until(look, duration_s)
+    return np.array([found[stamp] for stamp in sorted(found)]).reshape(-1, 3)
+
+
+def _check_velocity(case: RobotCase) -> None:
+    limits = arm_limits(case)
+    with opened(case) as driver:
+        if read_state(case, driver).joints.velocity is None:
+            raise NotApplicable("it reports no velocities")
+        duration_s = max(MOTION_S, 3 * 5 * case.step / float(limits.velocity[-1]))
+        for _ in range(LOOKS):  # a busy machine may let too few states through
+            goal = _shifted(case, arm_position(case, driver), 5)
+            sent = driver.send(arm_command(case, goal, duration_s))
+            samples = _velocity_samples(case, driver, sent.duration_s)
+            if len(samples) < MOST_GAPS:
+                continue
+            gaps_s = np.diff(samples[:, 0])
+            way = float(samples[-1, 1] - samples[0, 1])
+            if gaps_s.max() > sent.duration_s / MOST_GAPS or abs(way) < 2 * case.step:
+                continue
+            integral = float((gaps_s * (samples[1:, 2] + samples[:-1, 2]) / 2).sum())
+            told = f"a joint moved by {way:.4f}, its velocities add up to {integral:.4f}"
+            require(SLOWEST <= integral / way <= FASTEST, f"{told}; None means unknown")
+            return
+    raise NotApplicable("too few states came during the motion to judge velocities")
+
+
+def _stands(case: RobotCase, driver: RobotDriver) -> bool:
+    before = arm_position(case, driver)
+    wait_until(lambda: False, 0.05)
+    return _moved(case, driver, before) < 0.05 * case.step
+
+
+def _check_fresh(case: RobotCase) -> None:
+    arm_limits(case)
+    delays_s: list[float] = []
+    with opened(case) as driver:
+        for _ in range(STARTS):
+            wait_until(lambda: _stands(case, driver), case.settle_s)
+            start = arm_position(case, driver)
+            goal = _shifted(case, start, 2)
+            begun_ns = ros_clock()
+            sent = driver.send(arm_command(case, goal, 0.2))
+            wait_until(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
+            late_s = (read_state(case, driver).joints.stamp_ns - begun_ns) / 1e9 - 0.5 * sent.duration_s
+            delays_s.append(late_s)
+            if late_s <= STALE_S:
+                return
+            wait_until(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
+    told = f"by the stamps of its states every motion begins {min(delays_s):.2f} s late or later"
+    raise Violation(f"{told}; a state is stamped when it was measured")
 
 
 def _check_after_hold(case: RobotCase) -> None:
@@ -191,7 +291,15 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule("gripper-follows", "The gripper goes to the opening of its joint's position.", "send", _check_gripper),
     driver_rule("newest-command-wins", "A command replaces the one before at once.", "send", _check_newest),
-    driver_rule("hold-stops", "After `hold` the robot stands still, also when it was on its way.", "hold", _check_hold),
+    driver_rule("hold-stops", "After `hold` arm and gripper stand still, also on their way.", "hold", _check_hold),
+    driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
+    driver_rule(
+        "velocity-measured",
+        "Velocities are those of the positions: per second, of the same sign, or None.",
+        "read",
+        _check_velocity,
+    ),
+    driver_rule("state-fresh", "A state is stamped when it was measured, not when it is read.", "read", _check_fresh),
     driver_rule("moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold),
 )
 """Rules of robot drivers on motion."""

@@ -14,31 +14,35 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rn_testing.attempts import attempt
 from rn_testing.cases import FeatureCase
+from rn_testing.deadline import bounded
+from rn_testing.distribution import plugin_package
 from rn_testing.effects import check_released, running
 from rn_testing.fakes import fake_registry
-from rn_testing.lifecycle import PURE, check_pure_constructor
+from rn_testing.lifecycle import ALONE, PURE, check_pure_constructor
+from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
-from rn_testing.rules.package import SENDER
+from rn_testing.rules.package import SENDER_PACKAGE, SENDING_NAME
 
 if TYPE_CHECKING:
     from mcp.types import Tool
 
-    from roboneuron.server.app import Application
+    from roboneuron.feature import Application
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 _LEAVE_S = 5.0
-_SENDER = SENDER.replace("-", "_")
-_FORBIDDEN = ("rclpy", "roboneuron.ros", f"{_SENDER}.writer", f"{_SENDER}.traffic")
+_FORBIDDEN = ("rclpy", f"roboneuron.feature.{SENDING_NAME}", f"{SENDER_PACKAGE}.writer", f"{SENDER_PACKAGE}.traffic")
 """What could publish without the gate."""
 
 
 @contextmanager
 def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Application]:
     """A server of the fakes with the feature, in a folder of its own; no module is started."""
-    from roboneuron.config import Config  # heavy
-    from roboneuron.server.app import Application  # heavy
-    from roboneuron.server.plugins import PluginCatalogue
-    from roboneuron.supervisor.supervisor import Supervisor
+    from roboneuron.feature import (
+        Application,  # heavy
+        Config,  # heavy
+        PluginCatalogue,
+        Supervisor,
+    )
 
     def refuse(python: str | None) -> NoReturn:
         raise AssertionError("a feature starts no module by itself")
@@ -58,7 +62,7 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
 
 
 def _check_class(case: FeatureCase) -> None:
-    from roboneuron.server.feature import Feature  # heavy
+    from roboneuron import Feature  # heavy
 
     made = attempt(case, case.build)
     require(isinstance(made, Feature), f"`target` makes a {type(made).__name__}, not a roboneuron.Feature")
@@ -86,7 +90,7 @@ def _check_described(case: FeatureCase) -> None:
     for tool in _new_tools(case):
         who = f"the tool {tool.name!r}"
         require(_NAME.fullmatch(tool.name) is not None, f"{who} is no snake_case name")
-        require(bool(tool.title), f"{who} has no title")
+        require(tool.title != "", f"{who} has no title")  # none: it says what the name says, and is not listed
         require(len(tool.description or "") >= 20, f"the description of {who} says too little: {tool.description!r}")
         properties: dict[str, Any] = tool.input_schema.get("properties", {})
         bare = [name for name, entry in properties.items() if not entry.get("description")]
@@ -100,9 +104,10 @@ def _check_closes(case: FeatureCase) -> None:
     made.close()
     made.close()
     with _server(case) as application:
-        feature = application.features.get(case.spec.name)
-        require(feature is not None, "it was left out of the server")
-        assert feature is not None
+        loaded = application.features.get(case.spec.name)
+        require(loaded is not None, "it was left out of the server")
+        assert loaded is not None
+        feature = bounded(loaded, case.limits_s)
         feature.start(application.host)
         started_s = time.monotonic()
         feature.close()
@@ -112,9 +117,20 @@ def _check_closes(case: FeatureCase) -> None:
     check_released(before, "close()")
 
 
+def _check_process(case: FeatureCase) -> None:
+    def run() -> None:
+        with _server(case) as application:
+            feature = application.features.get(case.spec.name)
+            if feature is not None:
+                bounded(feature, case.limits_s).start(application.host)
+
+    changes = find_changes(run)
+    require(not changes, f"it {'; '.join(changes)}")
+
+
 def _check_gate(case: FeatureCase) -> None:
-    package = case.spec.target.partition(":")[0].partition(".")[0]
-    for path in _sources(package) if package != _SENDER else ():
+    package = plugin_package(case.spec.target.partition(":")[0])
+    for path in _sources(package) if package != SENDER_PACKAGE else ():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module:
@@ -150,10 +166,11 @@ RULES: tuple[Rule[FeatureCase], ...] = (
     ),
     Rule(
         id="feature/closes",
-        text="`close` is quick, may be called twice and before `start`, and leaves no thread or process.",
+        text="`start`, `close` are quick; `close` may be called twice and before `start` and leaves nothing running.",
         source=f"{_SOURCE}.close",
         check=_check_closes,
     ),
+    Rule(id="feature/process-left-alone", text=ALONE, source=_SOURCE, check=_check_process),
     Rule(
         id="feature/no-way-round-the-gate",
         text="Its package imports nothing that could publish without the gate.",

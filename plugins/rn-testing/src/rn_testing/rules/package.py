@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
 
 import roboneuron
@@ -13,6 +13,7 @@ from rn_testing.cases import PackageCase
 from rn_testing.distribution import (
     find_distribution,
     find_entry_points,
+    find_package,
     find_package_directory,
     header,
     hosted_directories,
@@ -22,21 +23,19 @@ from rn_testing.distribution import (
     requirements,
     source_files,
 )
+from rn_testing.kinds import named_by
 from rn_testing.rule import Rule, require
-from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.hookspecs import PROJECT
-from roboneuron.plugins.specs import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
+from rn_testing.unsafe_calls import unsafe_calls
+from roboneuron import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.feature import PROJECT, discover
 
-PUBLIC = ("contract", "errors", "plugins")
-"""Packages of the core that plugins import, beside what `roboneuron` itself lists."""
-FOR_FEATURES = ("cli", "config", "gate", "log_files", "modules", "planning", "server", "supervisor")
-"""What packages with features or commands import besides."""
-FOR_COMMANDS = ("ros",)
-"""What packages with commands import besides: a command joins the ROS graph by itself."""
-FOR_THE_SENDER = ("ros",)
-"""What the distribution of the direct path imports besides."""
-SENDER = "rn-direct-path"
-"""Distribution of the gate: the one feature that sends, since all others send through it."""
+SENDING_NAME = "RosLink"
+"""What joins the ROS graph and could send past the gate: for commands, which are processes of their own, and for the
+plugin of the direct path."""
+SENDER = ("rn-standard", "rn-direct-path")
+"""Distribution and plugin of the gate: the one feature that sends, since all others send through it."""
+SENDER_PACKAGE = "rn_standard.direct_path"
+"""The package of that plugin."""
 CORE = "roboneuron-core"
 """Distribution that every plugin needs."""
 KIT = "rn-testing"
@@ -60,13 +59,27 @@ def _check_hooks(case: PackageCase) -> None:
 
 
 def _check_light(case: PackageCase) -> None:
-    # a suite's descriptor is theirs
-    brought = {spec.__module__.partition(".")[0] for spec in discover().kinds.values()}
+    brought = {spec.__module__.rpartition(".")[0] for spec in discover().kinds.values()}  # a suite's descriptor
     for point in find_entry_points(case):
-        own = brought | {point.module.partition(".")[0], PROJECT, "pluggy"} | sys.stdlib_module_names
-        tops = {name.partition(".")[0] for name in probe(case, point.module).loaded}
-        heavy = sorted(name for name in tops - own if not name.startswith("__"))
-        require(not heavy, f"importing {point.module} imports {', '.join(heavy)}")
+        packages = brought | {find_package(case, point.module)}
+        heavy = {_foreign(name, packages) for name in probe(case, point.module).loaded} - {""}
+        require(not heavy, f"importing {point.module} imports {', '.join(sorted(heavy))}")
+
+
+def _foreign(module: str, packages: Collection[str]) -> str:
+    """What a plugin module should not load with itself: another package, or a plugin beside it; empty when it may.
+
+    Args:
+        module: name of a module that was loaded.
+        packages: what it may load, besides the core, pluggy and the standard library.
+    """
+    top = module.partition(".")[0]
+    if top in sys.stdlib_module_names | {PROJECT, "pluggy"} or top.startswith("__"):
+        return ""
+    if any(f"{module}.".startswith(f"{package}.") or package.startswith(f"{module}.") for package in packages):
+        return ""
+    beside = any(package.partition(".")[0] == top for package in packages)
+    return ".".join(module.split(".")[:2]) if beside else top
 
 
 def _check_pure(case: PackageCase) -> None:
@@ -114,33 +127,33 @@ def _check_core(case: PackageCase) -> None:
     require(any(">" in line and "<" in line for line in plain), f"{plain[0]!r} has no lower or no upper bound")
 
 
-def importable(*, feature: bool, command: bool, sender: bool = False) -> tuple[str, ...]:
-    """Packages of the core that a plugin may import, by what it offers and whether it is the direct path."""
-    packages = (*PUBLIC, *(FOR_FEATURES if feature or command else ()), *(FOR_COMMANDS if command else ()))
-    return (*packages, *(FOR_THE_SENDER if sender else ()))
+def is_public(name: str, *, for_features: bool, sends: bool = False) -> bool:
+    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and `roboneuron.feature.<name>` for some.
 
-
-def is_public(name: str, packages: Collection[str]) -> bool:
-    """A plugin that may import these packages of the core may import what `name` means."""
+    Args:
+        name: as `imported_modules` gives it.
+        for_features: the package offers features or commands.
+        sends: it offers commands, or is the direct path.
+    """
     top, *inner = name.split(".")
-    if top != PROJECT or not inner or inner[0] in packages:
+    if top != PROJECT or not inner:
         return True
+    if inner[0] == "feature":
+        return for_features and (sends or inner[1:] != [SENDING_NAME])
     return len(inner) == 1 and inner[0] in roboneuron.__all__
 
 
 def _check_direction(case: PackageCase) -> None:
     specs = tuple(_specs(case))
-    packages = importable(
-        feature=any(isinstance(spec, FeatureSpec) for spec in specs),
-        command=any(isinstance(spec, CommandSpec) for spec in specs),
-        sender=normalise(case.distribution) == SENDER,
-    )
+    command = any(isinstance(spec, CommandSpec) for spec in specs)
+    for_features = command or any(isinstance(spec, FeatureSpec) for spec in specs)
+    sends = command or (normalise(case.distribution), case.plugin) == SENDER
+    where = "roboneuron and roboneuron.feature" if for_features else "roboneuron"
     for path in source_files(case):
         for name, line in imported_modules(path):
             require(
-                is_public(name, packages),
-                f"{path.name}:{line} imports {name}; this plugin may import what roboneuron.__all__ lists and "
-                f"{', '.join(packages)}",
+                is_public(name, for_features=for_features, sends=sends),
+                f"{path.name}:{line} imports {name}; this plugin may import what {where} list",
             )
 
 
@@ -165,12 +178,13 @@ def _check_kit(case: PackageCase) -> None:
     if normalise(case.distribution) == KIT or any(line.startswith(KIT) for line in needed):
         return
     cases = {str(spec.case).partition(":")[0] for spec in _specs(case) if isinstance(spec, Spec)}
+    cases |= {named_by(kind).partition(":")[0] for kind in discover().kinds.values()}
     roots = [find_package_directory(case, point.module).parent for point in find_entry_points(case)]
     for path in source_files(case):
         module = next(".".join(path.relative_to(r).with_suffix("").parts) for r in roots if path.is_relative_to(r))
         for name, line in imported_modules(path):
             allowed = module in cases or name.partition(".")[0] != __name__.partition(".")[0]
-            require(allowed, f"{path.name}:{line} imports {name}, which only the module of a `case` may")
+            require(allowed, f"{path.name}:{line} imports {name}, which only the module of a `case` or of `rules` may")
 
 
 def _check_imports_declared(case: PackageCase) -> None:
@@ -178,7 +192,7 @@ def _check_imports_declared(case: PackageCase) -> None:
 
     A subpackage that another program loads by an entry point of its own runs with what that program has installed.
     """
-    owners = packages_distributions()
+    owners = _owners(tuple(sys.path))
     own = {point.module.partition(".")[0] for point in find_entry_points(case)}
     declared = requirements(case) | {normalise(case.distribution)}
     reachable = set(declared)
@@ -197,6 +211,18 @@ def _check_imports_declared(case: PackageCase) -> None:
             require(
                 not of or bool(of & reachable), f"{path.name}:{line} imports {top} of {', '.join(of)}, not declared"
             )
+
+
+def _check_safe_calls(case: PackageCase) -> None:
+    for path in source_files(case):
+        for line, name, reason in unsafe_calls(path):
+            require(False, f"{path.name}:{line} calls {name}, which {reason}")
+
+
+@functools.lru_cache(maxsize=4)
+def _owners(path: tuple[str, ...]) -> Mapping[str, list[str]]:
+    """Distributions by the top-level packages that they hold; reading them takes a second for every path."""
+    return packages_distributions()
 
 
 @functools.cache
@@ -218,9 +244,9 @@ def _needs(name: str) -> frozenset[str]:
 
 
 def _specs(case: PackageCase) -> Iterator[Spec | DriverSpec]:
-    """The descriptors of a distribution that can be read here, those of drivers included."""
+    """The descriptors of a distribution or plugin that can be read here, those of drivers included."""
     for offer in discover().all_offers:
-        if normalise(offer.distribution) == normalise(case.distribution):
+        if normalise(offer.distribution) == normalise(case.distribution) and case.plugin in ("", offer.plugin):
             yield offer.spec
             if isinstance(offer.spec, RobotSpec):
                 yield from offer.spec.drivers
@@ -276,7 +302,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/import-direction",
-        text=f"Of the core it imports what `roboneuron` lists and {', '.join(PUBLIC)}; with features, more.",
+        text="Of the core it imports what `roboneuron` lists; with features or commands, `roboneuron.feature` too.",
         source=_SOURCE,
         check=_check_direction,
     ),
@@ -288,7 +314,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/kit-in-cases-only",
-        text=f"Of its modules only those that a descriptor's `case` names import {KIT}, unless it depends on it.",
+        text=f"Only modules that a descriptor's `case` or `rules` names import {KIT}, unless it depends on it.",
         source=_SOURCE,
         check=_check_kit,
     ),
@@ -297,6 +323,12 @@ RULES: tuple[Rule[PackageCase], ...] = (
         text="What it imports comes with a distribution that it declares, or with a descriptor's `requires`.",
         source=_SOURCE,
         check=_check_imports_declared,
+    ),
+    Rule(
+        id="package/no-unsafe-calls",
+        text="It reads no pickles, runs no text as code and no shell.",
+        source=_SOURCE,
+        check=_check_safe_calls,
     ),
 )
 """Rules of packages."""

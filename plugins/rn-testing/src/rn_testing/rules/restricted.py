@@ -7,11 +7,11 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from rn_selection.restricted import looks_restricted, marks
+from rn_standard.selection.restricted import looks_restricted, marks
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
-from roboneuron.plugins.loading import load_options_model
-from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
+from roboneuron import DriverSpec, RobotSpec, Spec
+from roboneuron.feature import load_options_model
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
@@ -55,7 +55,7 @@ RULES: tuple[Rule[Case[Any]], ...] = (
     Rule(
         id="descriptor/restricted-options-marked",
         text="Options that look as if they name hosts, files, commands or secrets say whether agents may set them.",
-        source="rn_selection.restricted",
+        source="rn_standard.selection.restricted",
         check=_check_restricted_options,
     ),
 )

@@ -10,7 +10,7 @@ from rn_testing.cases import RobotCase
 from rn_testing.kinematics import MOVABLE, place_tcp, read_chain, read_joints
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.snapshots import snapshot
-from roboneuron.contract import CameraCalibration, CameraProfile, RobotProfile
+from roboneuron import CameraCalibration, CameraProfile, RobotProfile
 
 ENDPOINT_KINDS = ("publish", "read", "service", "action")
 """Values of `Endpoint.kind`."""

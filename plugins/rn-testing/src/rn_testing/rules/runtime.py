@@ -13,9 +13,8 @@ from rn_testing.cases import RuntimeCase
 from rn_testing.effects import check_quick, expect_refusal, within
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, require
-from rn_testing.snapshots import is_alike, snapshot
-from roboneuron.contract import Acceleration, Runtime
-from roboneuron.errors import InvalidInputError, RoboNeuronError
+from rn_testing.snapshots import has_nan, is_alike, snapshot
+from roboneuron import Acceleration, InvalidInputError, RoboNeuronError, Runtime
 
 T = TypeVar("T")
 Tried = Runtime[Any, Any, Any, Any]
@@ -44,11 +43,19 @@ def _run(case: RuntimeCase, runtime: Tried) -> Any:
 def _answer(runtime: Tried, request: object) -> Any:
     answer = runtime.run(request)
     require(answer is not None, "run returned None, expected the answer")
+    require(not has_nan(answer), "the answer holds a number that is NaN")
     return answer
 
 
 LIFECYCLE: Lifecycle[RuntimeCase, Tried] = Lifecycle(
-    subject="runtime", protocol=Runtime, begin="load", start=_load, uses={"run": _run}, repeat=10
+    subject="runtime",
+    protocol=Runtime,
+    begin="load",
+    start=_load,
+    uses={"run": _run},
+    abuses=(lambda case, runtime: runtime.run(object()), lambda case, runtime: runtime.load(object())),
+    besides=("abort",),
+    repeat=10,
 )
 """How a runtime is started and used."""
 _loaded = LIFECYCLE.running
@@ -235,7 +242,9 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
         source="roboneuron.plugins.specs.RuntimeSpec",
         check=_check_families,
     ),
-    _rule("run-answers", "After `load`, `run` answers one request after the other.", "run", _check_run),
+    _rule(
+        "run-answers", "After `load`, `run` answers one request after the other, and never with NaN.", "run", _check_run
+    ),
     _rule("run-expected", "`run` answers what the case expects.", "run", _check_expected),
     _rule("reply-complete", "An answer holds what its request asks for, as its family has it.", "run", _check_reply),
     _rule("run-repeatable", "The same request has the same answer, whatever was run before.", "run", _check_repeats),

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
-from rn_vla.checkpoint_files import check_schema, clip, list_names, read_json, read_schema
+from rn_vla.checkpoint_files import check_schema, clip, explain_families, list_names, read_json, read_schema
 from rn_vla.decoding import DecoderShape, Shard
 from rn_vla.openvla.layout import TowerShape, VisionShape, expected_weights
 from rn_vla.openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
@@ -113,7 +113,7 @@ def _read_config(path: Path) -> ModelConfig:
     if family != "openvla":
         raise CheckpointError(
             f"{path} is a checkpoint of the family {clip(repr(family))}, expected 'openvla'.",
-            hint="Choose the backend of that family, or another checkpoint.",
+            hint=explain_families(family),
         )
     return check_schema(raw, TypeAdapter(ModelConfig), path / "config.json")
 

@@ -22,7 +22,9 @@ FAMILY = "openvla"
 """Name of the family in descriptors."""
 
 
-def policy_model(checkpoint: Checkpoint, *, action_width: int, max_prompt_tokens: int) -> PolicyModel:
+def policy_model(
+    checkpoint: Checkpoint, *, action_width: int, max_prompt_tokens: int, min_prompt_tokens: int = 12
+) -> PolicyModel:
     """The checkpoint as any runtime of the family takes it."""
     return PolicyModel(
         family=FAMILY,
@@ -31,6 +33,7 @@ def policy_model(checkpoint: Checkpoint, *, action_width: int, max_prompt_tokens
         shards=checkpoint.shards,
         visual_tokens=checkpoint.vision.towers[0].patches,
         max_prompt_tokens=max_prompt_tokens,
+        min_prompt_tokens=min_prompt_tokens,
         max_new_tokens=action_width,
         example=functools.partial(_example, checkpoint, action_width),
         build_front=functools.partial(_build_front, checkpoint),

@@ -79,6 +79,10 @@ class PromptEncoder:
         """The whole prompt; the instruction is lower-cased, as in training."""
         return self._template.format(instruction=instruction.lower())
 
+    def shortest(self) -> int:
+        """Tokens of the template around an instruction of one letter. Raises CheckpointError."""
+        return int(self.to_ids(self.to_text("a")).size)
+
     def to_ids(self, text: str) -> I64:
         """Token ids int64 (n,), beginning with BOS_ID and ending with FINAL_ID.
 

@@ -70,7 +70,7 @@ class Scaling:
 
     Attributes:
         low, high: float64 (n,), what -1 and +1 stand for.
-        mask: bool (n,), False passes a value through.
+        mask: bool (n,), False passes a value through (`to_normalized` clips it).
         epsilon: added to the range; OpenVLA uses 0, OpenVLA-OFT 1e-8.
     """
 
@@ -97,9 +97,12 @@ class Scaling:
         return np.where(self.mask, 0.5 * (normalized + 1.0) * span + self.low, normalized)
 
     def to_normalized(self, values: F64) -> F64:
-        """The data set's units (..., n) -> [-1, 1], clipped. Source: OpenVLA-OFT, normalisation of proprioception."""
+        """The data set's units (..., n) -> [-1, 1]; values that the mask passes through are clipped too.
+
+        Source: OpenVLA-OFT, `normalize_proprio`.
+        """
         span = self.high - self.low + self.epsilon
-        return np.where(self.mask, np.clip(2.0 * (values - self.low) / span - 1.0, -1.0, 1.0), values)
+        return np.clip(np.where(self.mask, 2.0 * (values - self.low) / span - 1.0, values), -1.0, 1.0)
 
 
 def choose_statistics(

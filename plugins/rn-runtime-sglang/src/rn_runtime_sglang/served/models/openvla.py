@@ -68,7 +68,7 @@ class OpenVLAForActionPrediction(nn.Module):
         """Put every tensor of the checkpoint where the backend's table says.
 
         Raises:
-            ValueError: a tensor is missing, unknown, of another shape, or of integers.
+            ValueError: a tensor is missing, unknown, of another shape, of integers, or not finite.
         """
         slots = dict(self.front.named_parameters())
         missing = set(self._weights)
@@ -80,6 +80,8 @@ class OpenVLAForActionPrediction(nn.Module):
                 raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {wanted}")
             if not tensor.is_floating_point():
                 raise ValueError(f"{name} has the number type {tensor.dtype}, which no weight has")
+            if not bool(torch.isfinite(tensor).all()):
+                raise ValueError(f"{name} holds NaN or infinite values")
             missing.discard(name)
             part, _, target = expected.target.partition(".")
             if part == "front":

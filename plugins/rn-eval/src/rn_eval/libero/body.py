@@ -1,0 +1,17 @@
+"""The simulated Panda, as far as backends see it."""
+
+from __future__ import annotations
+
+from rn_eval.libero.plugin import BODY
+from roboneuron import CameraProfile, RobotProfile
+
+IMAGE_PX = 256
+
+
+def profile() -> RobotProfile:
+    """Name and cameras; kinematics and limits are the simulator's."""
+    cameras = tuple(
+        CameraProfile(name=c.name, role=c.role, frame_id=f"{c.name}_optical", width=IMAGE_PX, height=IMAGE_PX)
+        for c in BODY.cameras
+    )
+    return RobotProfile(name=BODY.name, cameras=cameras)

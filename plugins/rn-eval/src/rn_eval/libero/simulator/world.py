@@ -1,0 +1,177 @@
+"""One LIBERO task in its simulator, stepped as the public evaluation scripts step it.
+
+Sources: openvla/openvla and moojink/openvla-oft, experiments/robot/libero/{run_libero_eval,libero_utils}.py: one
+environment for a task, seeded with 0; before each episode it is reset, then set to the episode's initial state; ten
+steps of a dummy action; each step ends the episode when the task is done.
+
+Two things are done otherwise without changing a number. The scripts render both cameras in every step; here the state
+that an image is taken of is kept, and rendered when it is asked for. (robosuite 1.4 samples observations after the
+first of a control period's 25 physics steps, not at its end; so it is that state.) And an episode that is not the first
+of its task draws what the resets before it would have drawn, instead of resetting the environment so many times.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from libero.libero import benchmark, get_libero_path
+from libero.libero.envs import OffScreenRenderEnv
+from robosuite.environments.robot_env import RobotEnv
+from robosuite.utils.errors import RandomizationError
+from robosuite.utils.observables import sensor
+
+from rn_eval.libero.simulator.pipe import Image, State
+
+DUMMY_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+WAIT_STEPS = 10
+SEED = 0
+_LOOKS = ("site_rgba", "geom_rgba", "mat_rgba")
+"""Colours that tasks change (a burner that glows) after an image of the same step was taken."""
+
+
+class Snapshots:
+    """The state of the simulation when its observation was sampled."""
+
+    def __init__(self) -> None:
+        self._data: Any = None
+        self._looks: dict[str, Any] = {}
+
+    def take(self, sim: Any) -> None:
+        """Keep the state of this moment."""
+        self._data = copy.copy(sim.data._data)
+        self._looks = {name: np.array(getattr(sim.model, name)) for name in _LOOKS}
+
+    def render(self, sim: Any, camera: str, size: int) -> Any:
+        """The image of the kept state: uint8 (H, W, 3), the lowest row first."""
+        context, model = sim._render_context_offscreen, sim.model
+        data, looks = context.data, {name: np.array(getattr(model, name)) for name in _LOOKS}
+        context.data = SimpleNamespace(_data=self._data)
+        try:
+            for name, values in self._looks.items():
+                getattr(model, name)[:] = values
+            return sim.render(camera_name=camera, width=size, height=size)
+        finally:
+            context.data = data
+            for name, values in looks.items():
+                getattr(model, name)[:] = values
+
+
+def _camera_sensors(environment: Any, cam_name: str, *_: Any, **__: Any) -> Any:
+    """Instead of a sensor that renders, one that keeps the state; for `RobotEnv._create_camera_sensors`."""
+
+    @sensor(modality="image")  # type: ignore[untyped-decorator]
+    def keep(cache: Any) -> Any:
+        if cam_name == environment.camera_names[0]:
+            environment.snapshots.take(environment.sim)
+        return np.zeros(2)
+
+    return [keep], [f"{cam_name}_image"]
+
+
+class World:
+    """An environment and the episode in it. Holds one task at a time."""
+
+    def __init__(self) -> None:
+        RobotEnv._create_camera_sensors = _camera_sensors
+        self._task: tuple[str, int, int] | None = None
+        self._env: Any = None
+        self._states: Any = None
+        self._instruction = ""
+        self._reset_body: tuple[Any, Any] | None = None
+        self._original_reset: Any = None
+        self._samplers: list[Any] = []
+        self._snapshots = Snapshots()
+        self._observation: Any = None
+
+    def open(self, suite: str, task: int, state: int, image_px: int) -> State:
+        """Begin an episode; returns the state after the waiting steps."""
+        if self._task != (suite, task, image_px):
+            self._load(suite, task, image_px)
+        if not 0 <= state < len(self._states):
+            raise ValueError(f"initial state {state} of {len(self._states)}")
+        self._draw_until(state)
+        self._env.reset()
+        self._observation = self._env.set_init_state(self._states[state])
+        done = False
+        for _ in range(WAIT_STEPS):
+            self._observation, _, done, _ = self._env.step(DUMMY_ACTION)
+        return self._state(bool(done))
+
+    def step(self, action: Any) -> State:
+        """One control period."""
+        self._observation, _, done, _ = self._env.step(action.tolist())
+        return self._state(bool(done))
+
+    def render(self, camera: str) -> Image:
+        """The image that belongs to the last state."""
+        assert self._task is not None
+        return Image(pixels=self._snapshots.render(self._env.env.sim, camera, self._task[2]))
+
+    def close(self) -> None:
+        """Release the simulator."""
+        env, self._env, self._task = self._env, None, None
+        if env is not None:
+            env.close()
+
+    def _load(self, suite: str, task: int, image_px: int) -> None:
+        self.close()
+        tasks = benchmark.get_benchmark_dict()[suite]()
+        chosen = tasks.get_task(task)
+        path = os.path.join(get_libero_path("bddl_files"), chosen.problem_folder, chosen.bddl_file)
+        self._states = np.asarray(tasks.get_task_init_states(task))
+        self._instruction = chosen.language
+        RobotEnv.snapshots = self._snapshots
+        self._env = OffScreenRenderEnv(bddl_file_name=path, camera_heights=image_px, camera_widths=image_px)
+        self._samplers = list(self._env.env.object_property_initializers)
+        self._task = (suite, task, image_px)
+        self._remember_bodies()
+
+    def _remember_bodies(self) -> None:
+        """See where a reset begins: with the fixtures where the model has them."""
+        inner = self._env.env
+        original = self._original_reset = inner._reset_internal
+        self._reset_body = None
+
+        def remember() -> None:
+            model = inner.sim.model
+            self._reset_body = (np.array(model.body_pos), np.array(model.body_quat))
+            original()
+
+        inner._reset_internal = remember
+
+    def _draw_until(self, episode: int) -> None:
+        """Bring the random generator to where the scripts have it before their reset number `episode`."""
+        inner = self._env.env
+        inner.object_property_initializers[:] = list(self._samplers)  # each reset adds them once more
+        self._env.seed(SEED)
+        if episode and self._reset_body is None:
+            self._env.reset()  # one in full tells where the fixtures stand before a reset
+            episode -= 1
+        for _ in range(episode):
+            assert self._reset_body is not None
+            body_pos, body_quat = self._reset_body
+            while True:
+                inner.object_property_initializers.extend(self._samplers)
+                inner.sim.reset()
+                inner.sim.model.body_pos[:], inner.sim.model.body_quat[:] = body_pos, body_quat
+                try:
+                    self._original_reset()
+                except RandomizationError:
+                    continue
+                break
+
+    def _state(self, is_done: bool) -> State:
+        observed = self._observation
+        simulated = self._env.env.sim.get_state()
+        return State(
+            instruction=self._instruction,
+            is_done=is_done,
+            joints=np.concatenate([observed["robot0_joint_pos"], observed["robot0_gripper_qpos"]]).astype(np.float64),
+            eef_pos=np.asarray(observed["robot0_eef_pos"], np.float64),
+            eef_quat=np.asarray(observed["robot0_eef_quat"], np.float64),
+            flat=np.concatenate([[simulated.time], simulated.qpos, simulated.qvel]).astype(np.float64),
+        )

@@ -1,0 +1,108 @@
+"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short, and without secrets."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, get_args
+
+from rn_standard.selection.restricted import marks
+from rn_testing.case import Case
+from rn_testing.rule import NotApplicable, Violation, require
+from roboneuron import AgentMaySet, RoboNeuronError
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+LONGEST = 2000
+"""Characters of an error that a person and an agent still read."""
+SECRET = "s3cret-0f-the-c0ntract-k1t"
+"""What stands in options and variables that hold secrets, and in no error."""
+SECRET_VARIABLES = ("HF_TOKEN", "API_KEY", "OPENAI_API_KEY", "ROBONEURON_TOKEN", "AWS_SECRET_ACCESS_KEY", "PASSWORD")
+"""Variables of the environment that hold secrets on users' machines."""
+_PLACE = re.compile(r"(^|_)(path|file|dir|directory|folder|checkpoint|weights|urdf|calibration|video|device)($|_)")
+_SECRET = re.compile(r"(^|_)(secret|token|password|passphrase|credentials?|(api|access|private)_key)($|_)")
+
+
+def _texts(field: FieldInfo) -> bool:
+    """Whether an option may be text or a secret."""
+    kinds = (field.annotation, *get_args(field.annotation))
+    return any(isinstance(k, type) and (issubclass(k, str) or k.__name__ == "SecretStr") for k in kinds)
+
+
+def _fields(case: Case[Any]) -> Mapping[str, FieldInfo]:
+    model = case.option_model()
+    return {} if model is None else model.model_fields
+
+
+def file_options(case: Case[Any]) -> list[str]:
+    """Options that name a file or a folder to be read, by type or name."""
+    found = []
+    for name, field in _fields(case).items():
+        kinds = (field.annotation, *get_args(field.annotation))
+        is_path = any(isinstance(kind, type) and issubclass(kind, PurePath) for kind in kinds)
+        if is_path or (_texts(field) and _PLACE.search(name)):
+            found.append(name)
+    return found
+
+
+def secret_options(case: Case[Any]) -> list[str]:
+    """Options that hold a secret, by name; one that names the file or variable with it holds none."""
+    found = []
+    for name, field in _fields(case).items():
+        elsewhere = re.search(r"(^|_)(file|path|env|variable|header|name)($|_)", name)
+        is_public = any(isinstance(mark, AgentMaySet) for mark in marks(field))
+        if _texts(field) and _SECRET.search(name) and not elsewhere and not is_public:
+            found.append(name)
+    return found
+
+
+def check_missing_files(case: Case[Any], use: Callable[[Case[Any]], object]) -> None:
+    """Each option that names a file is set to one that is not there: `use` succeeds or raises a RoboNeuronError."""
+    names = file_options(case)
+    if not names:
+        raise NotApplicable("no option names a file")
+    with tempfile.TemporaryDirectory() as folder:  # a plugin may make what is absent
+        for name in names:
+            absent = str(Path(folder) / f"absent-{name}" / "file")
+            try:
+                use(case.with_options({name: absent}))
+            except (RoboNeuronError, NotApplicable):
+                continue
+            except Violation:
+                raise
+            except Exception as error:
+                what = f"with a {name} that is not there it raised {type(error).__name__}: {error}"
+                raise Violation(f"{what}; expected an error of roboneuron.errors") from error
+
+
+@contextmanager
+def secrets() -> Iterator[None]:
+    """The variables that hold secrets are set to SECRET."""
+    before = {name: os.environ.get(name) for name in SECRET_VARIABLES}
+    os.environ.update(dict.fromkeys(SECRET_VARIABLES, SECRET))
+    try:
+        yield
+    finally:
+        for name, text in before.items():
+            if text is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = text
+
+
+def check_error(error: BaseException) -> None:
+    """An error, and those that led to it, say something short and hold no secret."""
+    text = str(error)
+    kind = type(error).__name__
+    require(bool(text.strip()), f"{kind} says nothing")
+    require(len(text) <= LONGEST, f"the text of {kind} has {len(text)} characters, at most {LONGEST}: {text[:80]!r}")
+    require("Traceback (most recent call last)" not in text, f"the text of {kind} holds a traceback")
+    one: BaseException | None = error
+    while one is not None:
+        require(SECRET not in f"{one} {one!r}", f"the text of {type(one).__name__} holds a secret of the user")
+        one = one.__cause__ or one.__context__

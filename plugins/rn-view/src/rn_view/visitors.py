@@ -1,0 +1,63 @@
+"""Which browser a request comes from, so that the audit says who pressed the stop."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import threading
+from collections.abc import Mapping
+from typing import Protocol
+
+_COOKIE = "roboneuron_view"
+_PATTERN = re.compile(rf"(?:^|;\s*){_COOKIE}=([\w-]{{10,80}})(?:;|$)")
+
+
+class _Request(Protocol):
+    @property
+    def headers(self) -> Mapping[str, str]: ...
+
+
+class Visitors:
+    """Names of those whose page is open, by the cookie of their browser; usable from any thread.
+
+    The cookie is no right: everybody may press the stop, and nothing else is done by requests.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cookies: dict[int, str] = {}
+        self._names: dict[int, str] = {}
+
+    def cookie(self, request: _Request) -> str:
+        """The header that gives a browser its cookie, or the one it has once more."""
+        value = _cookie_of(request) or secrets.token_urlsafe(16)
+        return f"{_COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict"
+
+    def connect(self, number: int, request: _Request) -> None:
+        """A page's websocket was opened."""
+        with self._lock:
+            self._cookies[number] = _cookie_of(request)
+
+    def name(self, number: int, who: str) -> None:
+        """It is known who looks at that page."""
+        with self._lock:
+            self._names[number] = who
+
+    def disconnect(self, number: int) -> None:
+        """The page is gone."""
+        with self._lock:
+            self._cookies.pop(number, None)
+            self._names.pop(number, None)
+
+    def who(self, request: _Request, address: str) -> str:
+        """Who sends a request: whoever looks at the newest page of that browser."""
+        cookie = _cookie_of(request)
+        with self._lock:
+            pages = [number for number, other in self._cookies.items() if cookie and other == cookie]
+            named = [self._names[number] for number in pages if number in self._names]
+        return named[-1] if named else f"a view without a token ({address})"
+
+
+def _cookie_of(request: _Request) -> str:
+    found = _PATTERN.search(request.headers.get("Cookie", ""))
+    return found.group(1) if found else ""
