@@ -16,7 +16,7 @@ from mcp.client.stdio import stdio_client
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import default_text
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.specs import KINDS
+from roboneuron.plugins.specs import PLUGIN_KINDS
 
 ROOT = Path(__file__).parents[1]
 FEATURELESS = ("start_robot", "start_perception", "start_control", "start_inference", "set_instruction", "stop_all")
@@ -24,8 +24,8 @@ CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 
 def without_features() -> str:
-    """The embedded default with every package disabled that offers a feature or a command and no device or model."""
-    by_kind = {kind: {o.distribution for o in discover().offers(kind)} for kind in KINDS}
+    """The embedded default with every plugin disabled that offers a feature or a command and no device or model."""
+    by_kind = {kind: {o.plugin for o in discover().offers(kind)} for kind in PLUGIN_KINDS}
     devices = {name for kind, names in by_kind.items() if kind not in ("feature", "command") for name in names}
     extending = sorted((by_kind["feature"] | by_kind["command"]) - devices)
     listed = ", ".join(f'"{name}"' for name in extending)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from rn_fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
-from rn_ops.memory import MemoryWatch
-from rn_ops.options import MemoryOptions
-from rn_selection.requests import StartInference
+from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_standard.ops.memory import MemoryWatch
+from rn_standard.ops.options import MemoryOptions
+from rn_standard.selection.requests import StartInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, module_status
 
@@ -240,7 +240,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
-    """What a process leaves behind that is killed in the middle of a message (see `rn_fastdds.lost_ports`)."""
+    """What a process leaves behind that is killed in the middle of a message (see `rn_standard.fastdds.lost_ports`)."""
     cell.loop.stop("perception")
     process = cell.loop.supervisor.slot("inference").process
     assert process is not None
@@ -248,6 +248,7 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
     for name in ports:
         (SHARED_MEMORY / name).unlink()
     cell.loop.start("perception")
+    cell.loop.set_instruction("move on", 10.0)  # a module that was stopped ended what was asked for
     wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
     wait_until(lambda: all((SHARED_MEMORY / name).exists() for name in ports), 3.0, "its other port is found as well")
 

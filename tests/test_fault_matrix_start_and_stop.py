@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rn_selection.requests import StartInference
+from rn_standard.selection.requests import StartInference
 from roboneuron.server.loop import ClosedLoop
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -7,13 +7,13 @@ import graphlib
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
-import roboneuron
-from rn_testing.rules.package import SENDER, importable, is_public
+from rn_testing.rules.package import SENDER, is_public
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
@@ -23,6 +23,7 @@ LIGHT = {"errors", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "feature": set(),
     "log_files": set(),
     "contract": LIGHT,
     "plugins": LIGHT,
@@ -37,10 +38,39 @@ ALLOWED: dict[str, set[str]] = {
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
 ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
-SENDING = ("roboneuron.ros.link", "rn_direct_path.writer", "rn_direct_path.traffic")
+SENDING = (
+    *("roboneuron.ros.link", "roboneuron.feature.RosLink"),
+    *("rn_standard.direct_path.writer", "rn_standard.direct_path.traffic"),
+)
 """What could send a message past the gate."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
+STANDARD = PLUGINS / "rn-standard" / "src" / "rn_standard"
+"""Packages of its own, each a plugin, in one distribution."""
+COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
+"""Packages of rn_standard without a plugin module, by the plugin that their command belongs to."""
+NEEDS = {
+    "console": {"selection"},
+    "demo": {"console"},
+    "limits": {"tools_arm"},
+    "switching": {"selection"},
+    "tasks": {"direct_path", "selection"},
+    "tools_arm": {"direct_path"},
+    "tools_ros": {"direct_path"},
+}
+"""Packages of rn_standard by those beside them that they may import."""
+PUBLISHED = {
+    "console": "chosen_plugins client diagnostics plugin_options status",
+    "direct_path": "allow_list arbiter delivery derived exposed feature fields joints limits motion_gate request "
+    "speeds twists",
+    "execution": "adaptive mode",
+    "http": "addresses bounded_server connections feature listener operator_lease options origins plugin tokens",
+    "selection": "choosing options requests restricted",
+    "tasks": "contract_cases hooks monitor",
+    "tools_arm": "tightening",
+    "tools_ros": "interfaces",
+}
+"""Modules of these packages that others may import."""
 
 
 def _imports(path: Path) -> Iterator[tuple[str, int]]:
@@ -105,24 +135,109 @@ def test_light_rooms_use_few_libraries(room, libraries):
 def test_the_core_names_no_installed_plugin_in_code():
     """A distribution's name in a message to people is help; in anything else it would be a dependency."""
     packages = {p.name.replace("-", "_") for p in PLUGINS.iterdir() if (p / "pyproject.toml").exists()}
+    assert "rn_standard" in packages
     for path in _core_files():
         text = path.read_text(encoding="utf-8")
         assert not [p for p in packages if p in text], path
 
 
+def _plugins() -> Iterator[tuple[str, tuple[Path, ...]]]:
+    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard each by itself."""
+    for sources in sorted(PLUGINS.glob("*/src")):
+        if sources != STANDARD.parent:
+            yield sources.parent.name, tuple(sorted(path.parent for path in sources.glob("*/__init__.py")))
+    for package in sorted(path.parent for path in STANDARD.glob("*/__init__.py")):
+        if package.name not in COMMANDS_APART:
+            apart = [STANDARD / name for name, owner in COMMANDS_APART.items() if owner == package.name]
+            yield f"rn-standard/{package.name}", (package, *apart)
+
+
+def _offers(packages: Iterable[Path]) -> str:
+    """Text of the plugin modules; a library has none."""
+    modules = [package / "plugin.py" for package in packages]
+    return "".join(path.read_text(encoding="utf-8") for path in modules if path.exists())
+
+
+SENDING_PACKAGE = STANDARD / "direct_path"
+
+
+def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
+    """What a plugin imports of the core beside `roboneuron` and, for features and commands, `roboneuron.feature`."""
+    packages = tuple(packages)
+    offers = _offers(packages)
+    command = "CommandSpec" in offers
+    sends = command or SENDING_PACKAGE in packages
+    for path in sorted(path for package in packages for path in package.rglob("*.py")):
+        for name, line in _imports(path):
+            if not is_public(name, for_features=command or "FeatureSpec" in offers, sends=sends):
+                yield f"{path.relative_to(PLUGINS)}:{line} imports {name}"
+
+
 def test_plugins_import_only_what_is_public_of_the_core():
-    breaches = []
-    for sources in sorted(PLUGINS.glob("*/src")):  # a library offers nothing
-        offers = "".join(path.read_text(encoding="utf-8") for path in sources.glob("*/plugin.py"))
-        feature, command = "FeatureSpec" in offers, "CommandSpec" in offers
-        packages = importable(feature=feature, command=command, sender=sources.parent.name == SENDER)
-        breaches += [
-            f"{path.relative_to(PLUGINS)}:{line} imports {name}"
-            for path in sorted(sources.rglob("*.py"))
-            for name, line in _imports(path)
-            if not is_public(name, packages)
-        ]
+    assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
+
+
+@pytest.mark.parametrize(
+    ("offers", "line", "is_seen"),
+    [
+        ("BackendSpec", "from roboneuron import Frame", False),
+        ("BackendSpec", "from roboneuron.contract import Frame", True),
+        ("BackendSpec", "from roboneuron.feature import Config", True),
+        ("FeatureSpec", "from roboneuron.feature import Config", False),
+        ("FeatureSpec", "from roboneuron.feature import RosLink", True),
+        ("CommandSpec", "from roboneuron.feature import RosLink", False),
+        ("FeatureSpec", "from roboneuron.config import Config", True),
+        ("CommandSpec", "import roboneuron.server.app", True),
+    ],
+)
+def test_an_import_of_what_is_private_is_seen(tmp_path, monkeypatch, offers, line, is_seen):
+    monkeypatch.setattr(sys.modules[__name__], "PLUGINS", tmp_path)
+    (tmp_path / "plugin.py").write_text(f"from roboneuron import {offers}\n")
+    (tmp_path / "bad.py").write_text(f"{line}\n")
+    assert bool(list(_private_imports([tmp_path]))) is is_seen
+
+
+def _breaches_among_features(path: Path) -> Iterator[str]:
+    """What a file imports of another package of rn_standard than its own, and may not."""
+    inside = path.relative_to(PLUGINS).parts
+    own = inside[3] if path.is_relative_to(STANDARD) else ""
+    for name, line in _imports(path):
+        top, package, module, *_ = [*name.split("."), "", ""]
+        if top != "rn_standard" or package == own:
+            continue
+        if own and package not in NEEDS.get(own, ()):
+            yield f"{path.relative_to(PLUGINS)}:{line} imports {name}: {own} does not need {package}"
+        elif module not in PUBLISHED.get(package, "").split():
+            yield f"{path.relative_to(PLUGINS)}:{line} imports {name}, which {package} does not publish"
+
+
+def test_features_import_of_each_other_only_what_is_published():
+    breaches = [breach for path in sorted(PLUGINS.glob("*/src/**/*.py")) for breach in _breaches_among_features(path)]
     assert breaches == []
+
+
+def test_a_feature_that_reaches_into_another_is_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "PLUGINS", tmp_path)
+    monkeypatch.setattr(sys.modules[__name__], "STANDARD", tmp_path / "rn-standard" / "src" / "rn_standard")
+    bad = tmp_path / "rn-standard" / "src" / "rn_standard" / "tasks" / "bad.py"
+    bad.parent.mkdir(parents=True)
+    bad.write_text(
+        "from rn_standard.selection.requests import x\n"  # as it should be
+        "from rn_standard.selection.permission import x\nfrom rn_standard.ops.restarts import x\n"
+        "import rn_standard.http\n"
+    )
+    elsewhere = tmp_path / "rn-eval" / "src" / "rn_eval" / "bad.py"
+    elsewhere.parent.mkdir(parents=True)
+    elsewhere.write_text("from rn_standard.execution.mode import x\nfrom rn_standard.execution.queue import x\n")
+    assert len(list(_breaches_among_features(bad))) == 3
+    assert len(list(_breaches_among_features(elsewhere))) == 1
+
+
+def test_the_tables_name_packages_and_modules_that_are_there():
+    named = {*NEEDS, *PUBLISHED, *COMMANDS_APART, *(name for needed in NEEDS.values() for name in needed)}
+    assert {name for name in named if not (STANDARD / name / "__init__.py").exists()} == set()
+    modules = [STANDARD / package / name for package, names in PUBLISHED.items() for name in names.split()]
+    assert [m for m in modules if not (m.with_suffix(".py").exists() or (m / "__init__.py").exists())] == []
 
 
 def _reaches_ros(path: Path) -> Iterator[str]:
@@ -138,63 +253,50 @@ def _reaches_ros(path: Path) -> Iterator[str]:
 def test_features_send_only_through_the_gate():
     """No publisher, client or node beside `host.gate`; a command is a process of its own and may join the graph."""
     breaches = []
-    for plugin in sorted(PLUGINS.glob("*/src/*/plugin.py")):
+    looked_at = set()
+    for plugin in sorted(PLUGINS.glob("*/src/**/plugin.py")):
         text = plugin.read_text(encoding="utf-8")
-        if "FeatureSpec" in text and plugin.parents[2].name != SENDER:
+        if "FeatureSpec" in text and plugin.parent != SENDING_PACKAGE:
             # A robot's package has drivers too, which run in a module and are lent topics: there only what runs here.
             names = sorted(set(re.findall(r'target="[\w.]+\.(\w+):\w+Feature"', text)))
             paths = [plugin.parent / f"{n}.py" for n in names] if "RobotSpec" in text else plugin.parent.rglob("*.py")
             breaches += [breach for path in sorted(paths) for breach in _reaches_ros(path)]
+            looked_at.add(plugin.parent.name)
     assert breaches == []
+    assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
-def test_one_distribution_sends_for_agents_and_one_of_its_modules_publishes():
-    sources = PLUGINS / SENDER / "src" / SENDER.replace("-", "_")
-    publishing = {path.name for path in sources.rglob("*.py") if "create_publisher" in path.read_text(encoding="utf-8")}
+def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():
+    sources = sorted(SENDING_PACKAGE.rglob("*.py"))
+    publishing = {path.name for path in sources if "create_publisher" in path.read_text(encoding="utf-8")}
     assert publishing == {"writer.py"}
-    assert [breach for path in sources.rglob("*.py") for breach in _reaches_ros(path)]
+    assert [breach for path in sources for breach in _reaches_ros(path)]
+    points = tomllib.loads((PLUGINS / SENDER[0] / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert points["roboneuron"][SENDER[1]] == "rn_standard.direct_path.plugin"
 
 
 def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
     bad = tmp_path / "bad.py"
     bad.write_text(
         "import rclpy\nfrom roboneuron.ros.link import RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
-        "from rn_direct_path.writer import TopicWriter\nfrom rn_direct_path import traffic\n"
+        "from rn_standard.direct_path.writer import TopicWriter\nfrom rn_standard.direct_path import traffic\n"
     )
     assert len(list(_reaches_ros(bad))) == 6
 
 
 def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_case():
     breaches = []
-    for plugin in sorted(set(PLUGINS.glob("*/src/*/plugin.py")) - set(PLUGINS.glob("rn-testing/src/*/plugin.py"))):
+    for plugin in sorted(set(PLUGINS.glob("*/src/**/plugin.py")) - set(PLUGINS.glob("rn-testing/src/*/plugin.py"))):
         sources = sorted(plugin.parent.rglob("*.py"))
+        root = next(path for path in plugin.parents if path.name == "src")
         importing = {p for p in sources if any(name.split(".")[0] == "rn_testing" for name, _ in _imports(p))}
         named = plugin.read_text(encoding="utf-8")
         breaches += [
             f"{path.relative_to(PLUGINS)} imports rn_testing and is no `case`"
             for path in importing
-            if f'"{".".join(path.relative_to(plugin.parents[1]).with_suffix("").parts)}:' not in named
+            if f'"{".".join(path.relative_to(root).with_suffix("").parts)}:' not in named
         ]
     assert breaches == []
-
-
-def test_device_and_model_plugins_take_public_names_from_the_public_api():
-    """`from roboneuron import Frame`, so that a module of the core can be moved without breaking a plugin."""
-    roundabout = []
-    for package in sorted(path.parent for path in PLUGINS.glob("*/src/*/__init__.py")):
-        plugin = package / "plugin.py"
-        offers = plugin.read_text(encoding="utf-8") if plugin.exists() else ""
-        if "FeatureSpec" in offers or "CommandSpec" in offers:
-            continue
-        roundabout += [
-            f"{path.relative_to(PLUGINS)}:{node.lineno} imports {alias.name} from {node.module}"
-            for path in sorted(package.rglob("*.py"))
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("roboneuron.")
-            for alias in node.names
-            if alias.name in roboneuron.__all__ and alias.asname is None
-        ]
-    assert roundabout == []
 
 
 def _at_import_time(path: Path) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import tomllib
 from pathlib import Path
@@ -10,12 +11,16 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import ConfigurationError
-from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.plugins.availability import install_command, known_names, package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry, Status
+from roboneuron.plugins.specs import FeatureSpec
 
 ROOT = Path(__file__).parents[1]
+closure = runpy.run_path(str(ROOT / "tools" / "requirements.py"))["closure"]
 PROJECTS = sorted(ROOT.glob("plugins/*/pyproject.toml"))
+COMMON = {"roboneuron", *closure(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"])}
+"""What requirements.txt installs."""
 
 
 def needs(path: Path) -> set[str]:
@@ -24,6 +29,10 @@ def needs(path: Path) -> set[str]:
         r'"(rn-[a-z0-9-]+)', str(tomllib.loads(path.read_text())["project"]["dependencies"]).replace("'", '"')
     )
     return {name for name in names if name != path.parent.name}
+
+
+MOST_PATHS = 4
+"""Folders of packages in one hint, or on one page."""
 
 
 def test_every_offer_of_the_project_is_in_the_table() -> None:
@@ -39,21 +48,33 @@ def test_every_offer_of_the_project_is_in_the_table() -> None:
 def test_the_table_names_nothing_else() -> None:
     table = tomllib.loads((ROOT / "roboneuron-core/src/roboneuron/data/packages.toml").read_text())
     offered = {(o.spec.kind, o.spec.name) for o in discover().all_offers}
-    assert {(kind, name) for kind, names in table.items() if kind != "needs" for name in names} <= offered
+    kinds = {kind: names for kind, names in table.items() if kind not in ("needs", "switch")}
+    assert {(kind, name) for kind, names in kinds.items() for name in names} <= offered
     extras = {p.parent.name: tomllib.loads(p.read_text())["project"].get("optional-dependencies", {}) for p in PROJECTS}
     for package in {package for kind, names in table.items() if kind != "needs" for package in names.values()}:
         name, _, extra = package.rstrip("]").partition("[")
         assert not extra or extra in extras[name]
 
 
+def test_the_table_knows_which_features_the_command_line_switches_on() -> None:
+    specs = [offer.spec for offer in discover().offers("feature")]
+    switched = {s.name: package_of("feature", s.name) for s in specs if isinstance(s, FeatureSpec) and s.switch}
+    assert known_names("switch") == switched
+
+
 def test_the_table_knows_what_each_package_needs() -> None:
     direct = {path.parent.name: needs(path) for path in PROJECTS}
+    direct["roboneuron"] = needs(ROOT / "pyproject.toml")
 
     def all_needs(name: str) -> set[str]:
         return direct[name].union(*(all_needs(other) for other in direct[name]))
 
     for name in direct:
-        assert set(re.findall(r"\./plugins/([a-z0-9-]+)", install_command(name))) == {name, *all_needs(name)}
+        command = install_command(name)
+        listed = re.findall(r"\./plugins/([a-z0-9-]+)", command)
+        assert set(listed) == {name, *all_needs(name)} - COMMON
+        assert ("-r requirements.txt" in command) == bool({name, *all_needs(name)} & COMMON)
+        assert len(listed) <= MOST_PATHS
 
 
 @pytest.mark.parametrize(
@@ -88,10 +109,46 @@ def test_no_hint_takes_a_package_of_the_project_from_an_index() -> None:
     lines = installs()
     assert len(lines) > 20
     for page, line in lines:
-        bare = re.findall(r"(?<![\w./-])(?:rn-[a-z0-9]+-[a-z0-9]+|roboneuron-core)", line.partition("#")[0])
+        words = re.split(r"[#`]", line)[0]
+        bare = re.findall(r"(?<![\w./-])(?:rn-[a-z0-9-]+|roboneuron-core)", words)
         assert not bare, f"{page}: {line}"
         for folder in re.findall(r"\./((?:plugins/)?(?:rn-[a-z0-9-]+|roboneuron-core))", line):
             assert (ROOT / folder / "pyproject.toml").exists(), f"{page}: {line}"
+
+
+def test_no_page_lists_many_folders() -> None:
+    folders: dict[str, set[str]] = {}
+    for page in {page for page, _ in installs() if page != "CHANGELOG.md"}:
+        text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
+        for line in re.findall(r"pip install[^\n;]*", text):
+            folders.setdefault(page, set()).update(re.findall(r"\./(?:plugins/)?(rn-[a-z0-9-]+|roboneuron-core)", line))
+    assert "README.md" in folders
+    assert {page: sorted(found) for page, found in folders.items() if len(found) > MOST_PATHS} == {}
+
+
+def test_requirements_files_are_what_the_tool_writes() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "requirements.py"))
+    made = tool["texts"]()
+    assert {"requirements.txt", "requirements-vla.txt"} <= made.keys()
+    for name, text in made.items():
+        assert (ROOT / name).read_text(encoding="utf-8") == text, "run: python tools/requirements.py"
+
+
+def test_requirements_hold_every_package_that_is_needed() -> None:
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    listed = {Path(line).name for line in lines if line.startswith("./")}
+    assert {"roboneuron-core", "rn-standard", "rn-robot-fr3", "rn-simulation", "rn-view"} <= listed
+    unmet = {need for path in PROJECTS if path.parent.name in listed for need in needs(path)} - listed
+    assert unmet == set()
+    assert all((ROOT / line / "pyproject.toml").exists() for line in lines if line.startswith("./"))
+
+
+def test_the_root_is_the_whole_and_a_workspace_of_all_packages() -> None:
+    facts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert facts["project"]["name"] == "roboneuron"
+    names = {"roboneuron-core", *(path.parent.name for path in PROJECTS)}
+    assert set(facts["tool"]["uv"]["sources"]) == names
+    assert facts["tool"]["uv"]["workspace"]["members"] == ["roboneuron-core", "plugins/*"]
 
 
 def test_requirements_of_ready_offers_name_modules_that_exist() -> None:

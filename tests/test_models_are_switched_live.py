@@ -14,7 +14,7 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from rn_demo.agent import Agent
+from rn_standard.demo.agent import Agent
 from roboneuron.config import default_text
 from roboneuron.ros.environment import prepare_environment
 

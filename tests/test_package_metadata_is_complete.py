@@ -10,10 +10,14 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROJECTS = [ROOT / "roboneuron-core" / "pyproject.toml", *sorted(ROOT.glob("plugins/*/pyproject.toml"))]
+PROJECTS = [
+    ROOT / "roboneuron-core" / "pyproject.toml",
+    ROOT / "pyproject.toml",
+    *sorted(ROOT.glob("plugins/*/pyproject.toml")),
+]
 
 
-@pytest.fixture(params=PROJECTS, ids=lambda path: path.parent.name)
+@pytest.fixture(params=PROJECTS, ids=lambda path: path.parent.name if path.parent != ROOT else "roboneuron")
 def project(request: pytest.FixtureRequest) -> dict[str, Any]:
     facts: dict[str, Any] = tomllib.loads(request.param.read_text(encoding="utf-8"))["project"]
     return facts

@@ -16,21 +16,20 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = [ROOT / "roboneuron-core", *sorted(p.parent for p in (ROOT / "plugins").glob("*/pyproject.toml"))]
 
 pytest.importorskip("hatchling", reason="wheels are built with hatchling")
+pytestmark = pytest.mark.release
 
 PROBE = """
 import json, sys, importlib
 from roboneuron.plugins.discovery import discover
-registry = discover()
-record = next(p for p in registry.plugins if p.distribution == sys.argv[1])
-module = importlib.import_module(record.module)
-print(json.dumps([record.status, record.reason, module.__file__]))
+records = [p for p in discover().plugins if p.distribution == sys.argv[1]]
+print(json.dumps([[p.name, p.status, p.reason, importlib.import_module(p.module).__file__] for p in records]))
 """
 PROBE_OF_A_LIBRARY = """
 import json, sys, importlib, pkgutil
 package = importlib.import_module(sys.argv[1].replace("-", "_"))
 names = [m.name for m in pkgutil.walk_packages(package.__path__, package.__name__ + ".")]
 files = {importlib.import_module(name).__file__ for name in names}
-print(json.dumps(["ready", f"{len(files)} modules", package.__file__]))
+print(json.dumps([[sys.argv[1], "ready", f"{len(files)} modules", package.__file__]]))
 """
 
 
@@ -96,6 +95,19 @@ def test_a_plugin_works_from_its_wheel(wheel, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    status, reason, file = json.loads(done.stdout)
-    assert status in ("ready", "unavailable"), reason
-    assert Path(file).is_relative_to(tmp_path)
+    found = json.loads(done.stdout)
+    assert [name for name, *_ in found] == sorted(offers.get("roboneuron", [package.name]))
+    for _, status, reason, file in found:
+        assert status in ("ready", "unavailable"), reason
+        assert Path(file).is_relative_to(tmp_path)
+
+
+def test_the_wheel_of_the_whole_holds_names_only(tmp_path):
+    words = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(words, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    (built,) = tmp_path.glob("*.whl")
+    archive = zipfile.ZipFile(built)
+    assert not [name for name in archive.namelist() if ".dist-info/" not in name]
+    metadata = archive.read(next(n for n in archive.namelist() if n.endswith("METADATA"))).decode()
+    assert "Name: roboneuron\n" in metadata
+    assert "Requires-Dist: rn-standard<0.2,>=0.1" in metadata

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.domain import free_ros_domain
+
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 ROBONEURON = [sys.executable, "-P", "-m", "roboneuron.cli.main"]
 
@@ -111,7 +113,7 @@ def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str
         assert os.path.basename(status["log_directory"]).endswith(f"-{status['pid']}")
         table = roboneuron(environment, "status").stdout
         assert f"server pid {status['pid']}" in table
-        elsewhere = {**environment, "ROS_DOMAIN_ID": str((int(environment["ROS_DOMAIN_ID"]) + 1) % 200)}
+        elsewhere = {**environment, "ROS_DOMAIN_ID": str(free_ros_domain())}
         other = roboneuron(elsewhere, "status")
         assert other.returncode == 1
         assert f"ROS_DOMAIN_ID={environment['ROS_DOMAIN_ID']} roboneuron status" in other.stdout

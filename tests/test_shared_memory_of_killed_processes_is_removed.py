@@ -15,8 +15,8 @@ from typing import Any, cast
 
 import pytest
 
-from rn_fastdds.feature import SharedMemoryRepair
-from rn_fastdds.segments import SHARED_MEMORY, owned_segments
+from rn_standard.fastdds.feature import SharedMemoryRepair
+from rn_standard.fastdds.segments import SHARED_MEMORY, owned_segments
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -28,7 +28,7 @@ SERVER = """
 import time
 from pathlib import Path
 from types import SimpleNamespace
-from rn_fastdds.feature import SharedMemoryRepair
+from rn_standard.fastdds.feature import SharedMemoryRepair
 from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})

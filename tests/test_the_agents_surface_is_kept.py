@@ -26,7 +26,7 @@ def by_name(tools: list[dict[str, Any]]) -> Listing:
     return {tool["name"]: tool for tool in tools}
 
 
-def arguments(tool: dict[str, Any]) -> dict[str, object]:
+def arguments(tool: dict[str, Any]) -> dict[str, Any]:
     """What a caller relies on: names, types, and which are required."""
     schema = tool["inputSchema"]
     types = {name: entry.get("type", "any") for name, entry in schema.get("properties", {}).items()}
@@ -35,9 +35,9 @@ def arguments(tool: dict[str, Any]) -> dict[str, object]:
 
 @pytest.fixture(scope="module")
 def now(tmp_path_factory: pytest.TempPathFactory) -> Listing:
-    """Without the tools of packages that are installed beside the standard ones."""
+    """The default server's tools."""
     config = tmp_path_factory.mktemp("standard") / "roboneuron.toml"
-    config.write_text(f'disabled_plugins = ["rn-recorder"]\n{default_text()}')
+    config.write_text(default_text())
     done = subprocess.run(
         [sys.executable, "-m", "roboneuron.cli.main", "tools", "--json", "--config", str(config)],
         capture_output=True,
@@ -57,7 +57,9 @@ def test_the_tools_and_their_arguments_are_those_of_the_record(now: Listing, rec
         expected = arguments(tool)
         types = expected["types"]
         assert isinstance(types, dict)
-        assert arguments(now[name]) == {**expected, "types": {**types, **added.get(name, {})}}, name
+        given = arguments(now[name])
+        assert given | {"required": []} == expected | {"types": types | added.get(name, {}), "required": []}, name
+        assert set(given["required"]) <= set(expected["required"]), f"{name} demands more than it did"
     for name in added.keys() - recorded.keys():
         assert arguments(now[name])["types"] == added[name], name
 

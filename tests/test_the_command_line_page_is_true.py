@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rn_console.judge import Outcome
-from rn_console.parsers import whole_parser
-from rn_console.reference import with_reference
+from rn_standard.console.judge import Outcome
+from rn_standard.console.parsers import whole_parser
+from rn_standard.console.reference import with_reference
 
 
 def test_its_reference_is_current(root: Path) -> None:
     page = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
-    hint = "run: python -m rn_console.reference docs/command-line.md (with all packages installed)"
+    hint = "run: python -m rn_standard.console.reference docs/command-line.md (with all packages installed)"
     assert with_reference(page) == page, hint
 
 

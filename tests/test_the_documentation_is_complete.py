@@ -60,6 +60,38 @@ def test_every_page_is_in_the_navigation() -> None:
     assert listed == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
+def files_named(text: str, page: str) -> list[str]:
+    """Paths in backticks, from the root of the repository; braces as in a shell."""
+    names = re.findall(r"`([^`\s<>]+/(?:[^`\s<>]*\.(?:py|toml|md|json|yml))?)`", text)
+    for name in names[:]:
+        head, brace, tail = name.partition("{")
+        if brace:
+            middle, _, end = tail.partition("}")
+            names += [head + word + end for word in middle.split(",")]
+            names.remove(name)
+    return [
+        AT[page].get(name.partition("/")[0], f"{name.partition('/')[0]}/") + name.partition("/")[2] for name in names
+    ]
+
+
+CORE, STANDARD = "roboneuron-core/src/roboneuron/", "plugins/rn-standard/src/rn_standard/"
+AT = {
+    "ten-changes.md": {"core": CORE, "standard": STANDARD},
+    "architecture.md": {"rn_standard": STANDARD}
+    | {name: f"{CORE}{name}/" for name in ("cli", "config", "contract", "data", "gate", "modules", "plugins", "ros")}
+    | {name: f"{CORE}{name}/" for name in ("server", "supervisor")},
+}
+"""By page: what the first part of a path stands for."""
+
+
+@pytest.mark.parametrize("page", AT)
+def test_files_that_contributors_are_sent_to_exist(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    names = files_named(text.partition("## A reading path")[2] or text, page)
+    assert len(names) > 30
+    assert [name for name in names if not (ROOT / name).exists()] == []
+
+
 @pytest.mark.parametrize(("source", "page"), IN_SITE_BY_INCLUSION.items())
 def test_pages_that_stand_at_the_root_are_included(source: str, page: str) -> None:
     assert (ROOT / source).exists()

@@ -15,8 +15,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from fault_loop import moving_cell
 
-from rn_selection.requests import StartInference
-from rn_switching.replacing import Switching
+from rn_standard.selection.requests import StartInference
+from rn_standard.switching.replacing import Switching
 from roboneuron.supervisor.health import assess
 
 sys.path.pop(0)

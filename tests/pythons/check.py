@@ -18,8 +18,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PLUGINS = ("robot-fr3", "robot-bases", "simulation", "controller-urdf", "backend-servo", "demo", "console", "ops")
-PACKAGES = ("roboneuron-core", *(f"plugins/rn-{name}" for name in PLUGINS))
+PACKAGES = ("--requirement", str(ROOT / "requirements.txt"), str(ROOT / "plugins/rn-robot-bases"))
 NOT_COMPILED = "pybullet,mujoco,numpy,pin,coal,pillow"
 INSTALL_LIMIT_S, RUN_LIMIT_S = 1200, 600
 
@@ -48,7 +47,7 @@ def check(interpreter: str, folder: Path) -> None:
     python, roboneuron = folder / "venv/bin/python", folder / "venv/bin/roboneuron"
     install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     wheels = ["--only-binary", NOT_COMPILED, "--constraint", str(ROOT / "constraints.txt")]
-    run([*install, *wheels, *(str(ROOT / package) for package in PACKAGES)], folder, INSTALL_LIMIT_S, env)
+    run([*install, *wheels, *PACKAGES], ROOT, INSTALL_LIMIT_S, env)
     engine = expected_engine(python, env, folder)
     found = run([str(roboneuron), "doctor"], folder, RUN_LIMIT_S, env)
     if f"simulated with {engine})" not in found:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_selection.choosing import choose
-from rn_selection.requests import StartControl
-from rn_switching.replacing import Switching
+from rn_standard.selection.choosing import choose
+from rn_standard.selection.requests import StartControl
+from rn_standard.switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target

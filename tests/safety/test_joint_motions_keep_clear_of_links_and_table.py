@@ -11,14 +11,14 @@ import numpy as np
 import pybullet
 import pytest
 
-from rn_direct_path.allow_list import ArmPaths
-from rn_direct_path.exposed import profile_endpoints
-from rn_direct_path.gate import Gate
-from rn_direct_path.request import GateRequest
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.world import JOINTS
+from rn_standard.direct_path.allow_list import ArmPaths
+from rn_standard.direct_path.exposed import profile_endpoints
+from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.request import GateRequest
 from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError

@@ -25,7 +25,7 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
 
 from rn_testing.domain import free_ros_domain
-from roboneuron.gate.estop import FILE_NAME
+from roboneuron.gate.estop import ESTOP_FILE
 from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -148,11 +148,11 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     wait(arm.is_still, 3.0, "the arm stands")
     place = arm.position.copy()
     shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again while it is removed
-    wait((arm.state / FILE_NAME).exists, 2.0, "the latch is written again")
+    wait((arm.state / ESTOP_FILE).exists, 2.0, "the latch is written again")
     answer = arm.answer("move_joints", positions={"fr3_joint7": -float(np.sign(place[6]))})
     assert answer.is_error
     assert "latched" in answer.content[0].text
-    assert json.loads((arm.state / FILE_NAME).read_text())["restored"] >= 1
+    assert json.loads((arm.state / ESTOP_FILE).read_text())["restored"] >= 1
     time.sleep(1.0)  # what is looked for is that nothing happens
     assert np.abs(arm.position - place).max() < 0.02
     status = arm.do("get_status")
@@ -178,7 +178,7 @@ def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop
     arm.do("emergency_stop", reason="smoke")
     call.join(30.0)
     wait(arm.is_still, 3.0, "the arm stands")
-    assert (arm.state / FILE_NAME).exists()
+    assert (arm.state / ESTOP_FILE).exists()
     arm.release()
     wait(lambda: not arm.do("get_status")["emergency_stop"], 3.0, "it is released")
 

@@ -1,0 +1,145 @@
+"""A picked-up cube by the simulator's truth: kept by every way of moving the arm, put down by one call.
+
+Then: limits that the agent tightens hold for direct motion and for the policy, and only a person loosens them.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+
+from rn_simulation.engine import ENGINES
+from roboneuron.plugins.availability import is_importable
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
+CONFIG = """
+[robot]
+name = "fr3"
+[perception]
+source = "fr3-sim-camera"
+[inference]
+backend = "servo"
+[control]
+controller = "urdf"
+[plugins.fr3]
+engine = "{engine}"
+[supervisor]
+start_timeout_s = 180.0
+state_directory = "{state}"
+"""
+LEFT_M = 0.15
+NEAR_M = 0.02
+"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may slide."""
+
+
+class Agent:
+    """A client, and what it sees of the cubes."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        answer = await self._client.call_tool(tool, arguments)
+        assert not answer.is_error, (tool, arguments, answer.content)
+        result: dict[str, Any] = answer.structured_content
+        return result
+
+    async def fail(self, tool: str, **arguments: Any) -> str:
+        answer = await self._client.call_tool(tool, arguments)
+        assert answer.is_error, answer.structured_content
+        return str(answer.content[0].text)
+
+    async def status(self, module: str) -> dict[str, Any]:
+        modules = (await self.do("get_status"))["modules"]
+        found: dict[str, Any] = next(m for m in modules if m["module"] == module)
+        return found
+
+    async def cube(self, colour: str) -> dict[str, Any]:
+        cubes = json.loads((await self.status("robot"))["detail"]["cubes"])
+        found: dict[str, Any] = cubes[colour]
+        return found
+
+
+async def keeps_what_it_holds(agent: Agent) -> None:
+    await agent.do("start_all")
+    await agent.do("run_task", instruction="pick up the green cube", max_s=90.0)
+    await agent.do("stop_inference")
+    before = await agent.cube("green")
+    assert before["lifted_m"] > 0.1
+
+    asked = await agent.do("move_ee", dz_m=0.02, dry_run=True)
+    assert asked["target_m"][2] == pytest.approx(asked["position_m"][2] + 0.02, abs=1e-4)
+    assert asked["duration_s"] > 0.0
+    assert asked["holding"] is True
+    moved = await agent.do("move_ee", dz_m=0.02)
+    assert (moved["holding"], moved["lost_on_the_way"]) == (True, False)
+    after = await agent.cube("green")
+    assert after["lifted_m"] == pytest.approx(before["lifted_m"] + 0.02, abs=0.006)
+    assert after["held_s"] > before["held_s"]
+
+    joints = (await agent.do("read_joint_states"))["messages"][0]
+    last = joints["position"][joints["name"].index("fr3_joint7")]
+    turned = await agent.do("move_joints", positions={"fr3_joint7": last + 0.2})
+    assert turned["holding"] is True
+    assert turned["error"] < 0.002, "it answers at rest"
+    assert (await agent.cube("green"))["lifted_m"] > 0.1
+
+
+async def puts_it_down(agent: Agent) -> None:
+    there = (await agent.cube("green"))["position_m"]
+    placed = await agent.do("place", dy_m=LEFT_M)
+    assert placed["holding"] is False
+    cube = await agent.cube("green")
+    assert abs(cube["lifted_m"]) < 0.005
+    assert cube["position_m"][:2] == pytest.approx([there[0], there[1] + LEFT_M], abs=NEAR_M)
+    assert "holds nothing" in await agent.fail("place", dy_m=0.1)
+
+
+async def keeps_to_tightened_limits(agent: Agent) -> None:
+    await agent.do("move_to", name="home")
+    limits = await agent.do("tighten_limits", max_speed_m_s=0.05, y_max_m=0.1)
+    assert limits["is_tightened"]
+    assert (limits["max_speed_m_s"], limits["upper_m"][1]) == (0.05, 0.1)
+    told = (await agent.do("get_status"))["tightened_limits"]
+    assert (told["max_speed_m_s"], told["workspace_upper_m"][1]) == (0.05, 0.1)
+    assert (await agent.status("control"))["metrics"]["limits"] == "tightened"
+
+    slow = await agent.do("move_ee", dx_m=0.1)
+    assert slow["duration_s"] > 0.1 / 0.05
+    assert "outside the workspace" in await agent.fail("move_ee", dy_m=0.2)
+    assert "outside the workspace" in await agent.fail("move_joints", positions={"fr3_joint1": 0.6})
+
+    wider = await agent.do("tighten_limits", max_speed_m_s=0.3)
+    assert wider["max_speed_m_s"] == 0.05, "tighter stays tighter"
+    await agent.do("stop_control")
+    await agent.do("start_control")
+    assert (await agent.status("control"))["metrics"]["limits"] == "tightened"
+    assert "roboneuron limits --loosen" in await agent.fail("loosen_limits")
+
+
+@pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])
+def test_a_cube_stays_held_until_it_is_put_down(
+    tmp_path: Path, environment: dict[str, str], engine: str, request: pytest.FixtureRequest
+) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(CONFIG.format(state=tmp_path / "state", engine=engine))
+    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+    steps: list[Callable[[Agent], Any]] = [keeps_what_it_holds, puts_it_down, keeps_to_tightened_limits]
+
+    async def scenario() -> None:
+        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
+        async with Client(server) as client:
+            for step in steps:
+                await step(Agent(client))
+
+    anyio.run(scenario)
+    audit = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
+    tightened = [line["arguments"] for line in audit if line["verdict"] == "tightened"]
+    assert tightened == [{"max_speed_m_s": 0.05, "y_max_m": 0.1}]
