@@ -11,7 +11,7 @@ the virtual clock beside it. Rate, starved periods and longest gap are those of 
 status's. "Late ticks" are those of a thread that only sleeps 50 ms at a time: what comes half a period late there is
 the machine's doing, and starved periods of about that number are too.
 
-With --virtual the executor runs by a virtual clock, without processes: the table of docs/execution.md. "sequential"
+With --virtual the executor runs by a virtual clock, without processes: the table of docs/benchmarks.md. "sequential"
 is the baseline in both tables; the ideal is the rate that the chunks ask for, 20 Hz.
 """
 
@@ -31,8 +31,8 @@ from plugin_site import installed
 from rich.console import Console
 from rich.table import Table
 
-from rn_execution.mode import Abilities, Mode
-from rn_execution.virtual_cell import Outcomes, Trial, run
+from rn_standard.execution.mode import Abilities, Mode
+from rn_standard.execution.virtual_cell import Outcomes, Trial, run
 from roboneuron.ros.environment import prepare_environment
 
 HORIZONS = (8, 16)

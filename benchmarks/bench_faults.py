@@ -38,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell
 from plugin_site import chunks
 
-from rn_selection.requests import StartInference
+from rn_standard.selection.requests import StartInference
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -177,6 +177,12 @@ class Bench:
     def _start(self, kind: ModuleKind) -> None:
         arguments = StartInference(instruction="swing", options={}) if kind == "inference" else None
         self.loop.start(kind, arguments)
+        self._swing()
+
+    def _swing(self) -> None:
+        """A restart and a release start no motion."""
+        if self.loop.supervisor.view("inference").phase == "running" and not self.loop.starts.instruction:
+            self.loop.set_instruction("swing", 10.0)
 
     def attempt(self, what: str, trial: Callable[[], None]) -> None:
         """Run a trial; what it did not see is told, and the cell brought up again."""
@@ -213,6 +219,7 @@ class Bench:
         self.note(fault, HOLD, self.held_s(at_s) - at_s)
         self.note(fault, MOTION, self.stood_s(at_s))
         self._release()
+        self._swing()
 
     def stops(self) -> None:
         """One stop by each way."""

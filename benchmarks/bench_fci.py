@@ -2,7 +2,7 @@
 
     make bench-fci ARGS="--targets 500 --stops 100 --stream-s 1800"
 
-Everything is judged by the simulator's own joints. Distances and times are those of this machine; see docs/fr3.md.
+Everything is judged by the simulator's own joints. Distances and times are those of this machine.
 """
 
 from __future__ import annotations
@@ -51,11 +51,9 @@ def tcp(joints: Any) -> Any:
     return DATA.oMf[TCP].copy()
 
 
-def open_driver(factor: float = 0.5) -> FciDriver:
+def open_driver(host: str, factor: float = 0.5) -> FciDriver:
     """A driver that is connected."""
-    options = FciDriverOptions(
-        host="127.0.0.1", realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0
-    )
+    options = FciDriverOptions(host=host, realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0)
     driver = FciDriver(options, profile(), MemoryTopics())
     driver.open()
     return driver
@@ -222,9 +220,9 @@ def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None
     )
 
 
-def child() -> None:
+def child(host: str) -> None:
     """Streams until it is ended, for a minute at the most; for `lost_processes`."""
-    driver, step = open_driver(), 0
+    driver, step = open_driver(host), 0
     end_s = time.monotonic() + 60.0
     while time.monotonic() < end_s:
         step += 1
@@ -238,7 +236,7 @@ def lost_processes(sim: FrankaSim, log: Path, trials: int) -> None:
         took_ms, rest, watchdog = list[float](), 0.0, 0
         for _ in range(trials):
             told = len(log.read_bytes())
-            process = subprocess.Popen([sys.executable, __file__, "--child"])
+            process = subprocess.Popen([sys.executable, __file__, "--child", sim.host])
             try:
                 time.sleep(3.0)
                 wait(None, lambda: bool(speeds(sim).max() > 0.2))
@@ -269,16 +267,16 @@ def main() -> None:
     parser.add_argument("--stream-s", type=float, default=60.0)
     parser.add_argument("--load", type=int, default=8, help="busy processes beside it")
     parser.add_argument("--parts", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
-    parser.add_argument("--child", action="store_true")
+    parser.add_argument("--child", metavar="HOST")
     arguments = parser.parse_args()
     if arguments.child:
-        child()
+        child(arguments.child)
     parts = arguments.parts.split(",")
     log, record = OUT / "franka-sim.log", OUT / "record.bin"
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; franka-sim 1.1.7 {' '.join(STRICT)}")
     options = (*STRICT, "--no-gripper", "--record", str(record))
     with FrankaSim(PYTHON, seed=1, options=options, log=log) as sim:
-        driver = open_driver()
+        driver = open_driver(sim.host)
         if "targets" in parts:
             accuracy(driver, sim, arguments.targets)
         if "latency" in parts:

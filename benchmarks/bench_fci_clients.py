@@ -155,7 +155,7 @@ def main() -> None:
     for name in CLIENTS:
         for paused in ((), ("--paused",)):
             log = Path("out/bench-fci/clients.log")
-            with FrankaSim(Path(".venv-fr3sim/bin/python"), options=flags, log=log):
+            with FrankaSim(Path(".venv-fr3sim/bin/python"), options=flags, log=log, host="127.0.0.1"):
                 command = [str(arguments.clients), __file__, "--one", name, *paused]
                 subprocess.run(command, check=False, timeout=120)
 

@@ -195,7 +195,7 @@ def latencies(ledger: Ledger, factor: float) -> None:
     record = ledger.folder / "record.bin"
     options = (*STRICT, "--no-gripper", "--record", str(record))
     with FrankaSim(PYTHON, seed=1, options=options, log=ledger.folder / "franka-sim.log") as sim:
-        driver = open_driver(factor)
+        driver = open_driver(sim.host, factor)
         try:
             for is_running in (False, True):
                 found = latency(driver, sim, record, LATENCY_TRIALS, is_running)
@@ -205,7 +205,7 @@ def latencies(ledger: Ledger, factor: float) -> None:
 
 
 def report_latency(ledger: Ledger) -> int:
-    """Rows for docs/fr3.md; 1 when a trial is missing."""
+    """Rows of the table; 1 when a trial is missing."""
     for row in ledger.all("latency"):
         loop = "running" if row["running"] else "idle"
         print(
@@ -218,7 +218,7 @@ def report_latency(ledger: Ledger) -> int:
 
 
 def report(ledger: Ledger) -> int:
-    """Rows for docs/fr3.md; returns how much was exceeded or failed."""
+    """Rows of the table; returns how much was exceeded or failed."""
     goes = ledger.goes()
     if not goes:
         print("| nothing was measured | |")
@@ -315,7 +315,7 @@ def run(part: str, ledger: Ledger, busy: int, arguments: argparse.Namespace) -> 
 
 
 def main() -> int:
-    """Run the parts, print rows for docs/fr3.md; 0 when nothing was exceeded and nothing failed."""
+    """Run the parts, print rows of the table; 0 when nothing was exceeded and nothing failed."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--actions", type=int, default=10_000)

@@ -30,7 +30,7 @@ from fci_cell import HOME, STILL_RAD_S, FciCell, Record, served_fci, watched
 sys.path.pop(0)
 
 from rn_robot_fr3.fci.planner import JERK_LIMIT_RAD_S3
-from roboneuron.gate.estop import FILE_NAME, EmergencyStopLatch
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.ros.qos import LATCHED
 
 OUT = Path("out/bench-fci/stops.jsonl")
@@ -50,7 +50,7 @@ def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
     from std_msgs.msg import Bool
 
     publisher = cell.link.on_executor(lambda: cell.link.node.create_publisher(Bool, "/fr3/emergency_stop", LATCHED))
-    latch = EmergencyStopLatch(cell.folder / "state" / FILE_NAME, time.time_ns)
+    latch = EmergencyStopLatch(cell.folder / "state" / ESTOP_FILE, time.time_ns)
     return {
         "tool": lambda: cell.agent.do("emergency_stop", reason="trial"),
         "topic": lambda: publisher.publish(Bool(data=True)),
@@ -134,7 +134,7 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
 
 
 def table(rows: list[dict[str, Any]]) -> None:
-    """Rows for docs/fr3.md."""
+    """Rows of the table."""
     print("| by | trials | speed rad/s | reaction ms, median / worst | braking ms, median / worst | within | faults |")
     print("|---|---|---|---|---|---|---|")
     for way in WAYS:

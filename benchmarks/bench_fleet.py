@@ -43,7 +43,7 @@ from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 from plugin_site import installed
 
-from rn_demo.agent import Agent, module_status
+from rn_standard.demo.agent import Agent, module_status
 from roboneuron import RoboNeuronError
 from roboneuron.ros.environment import prepare_environment
 

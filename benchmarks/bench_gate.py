@@ -19,11 +19,11 @@ import numpy as np
 import pinocchio
 
 from rn_controller_urdf.controller import UrdfController
-from rn_direct_path.joints import check_joints
-from rn_direct_path.path_limits import PathLimiter
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_OPEN_M
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.world import JOINTS
+from rn_standard.direct_path.joints import check_joints
+from rn_standard.direct_path.path_limits import PathLimiter
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, JointCommand, JointSample, RobotProfile
 from roboneuron.errors import RefusedError

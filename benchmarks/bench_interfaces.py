@@ -26,7 +26,13 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from rn_tools_ros.interfaces import InterfaceName, MessageInterface, list_interfaces, load_interface, load_message
+from rn_standard.tools_ros.interfaces import (
+    InterfaceName,
+    MessageInterface,
+    list_interfaces,
+    load_interface,
+    load_message,
+)
 from roboneuron.errors import RoboNeuronError
 
 MEBIBYTE = 1024 * 1024

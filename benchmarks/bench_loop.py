@@ -26,7 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rn_execution.plugin import FEATURE as EXECUTION
+from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleSettings

@@ -32,10 +32,10 @@ from rn_backend_servo.backend import ServoBackend
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_controller_urdf.controller import UrdfController
-from rn_execution.adaptive import AdaptiveExecutor
-from rn_execution.mode import MODES, Abilities, Mode
 from rn_robot_fr3.profile import profile as fr3_profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from rn_standard.execution.adaptive import AdaptiveExecutor
+from rn_standard.execution.mode import MODES, Abilities, Mode
 from roboneuron.contract import Action, ActionChunk, Frame, Hold, JointSample, Observation
 from roboneuron.errors import NotReadyError, RoboNeuronError
 from roboneuron.modules.execution import Bounds, Prediction

@@ -21,7 +21,7 @@ import anyio
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-from rn_demo.agent import Agent
+from rn_standard.demo.agent import Agent
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 

@@ -25,7 +25,7 @@ from mcp.client.stdio import stdio_client
 from rich.console import Console
 from rich.table import Table
 
-from rn_demo.agent import Agent
+from rn_standard.demo.agent import Agent
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 

@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from plugin_site import chunks
 from switch_loop import Sent, moving_loop
 
-from rn_selection.requests import StartInference
-from rn_switching.replacing import Switching, SwitchMode
+from rn_standard.selection.requests import StartInference
+from rn_standard.switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
 
 

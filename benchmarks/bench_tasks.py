@@ -35,11 +35,11 @@ from rn_eval.runner import Runner
 from rn_eval.suite import Setup, Suite
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.simulation import STEP_S, Simulation
-from rn_tasks.judging import Judge
-from rn_tasks.monitor import Monitor
-from rn_tasks.predicates import MonitorSays, Predicate, parse_predicate
-from rn_tasks.runner import Outcome, PolicyState, Task, TaskPlan
-from rn_tasks.snapshot import Snapshot, StillClock
+from rn_standard.tasks.judging import Judge
+from rn_standard.tasks.monitor import Monitor
+from rn_standard.tasks.predicates import MonitorSays, Predicate, parse_predicate
+from rn_standard.tasks.runner import Outcome, PolicyState, Task, TaskPlan
+from rn_standard.tasks.snapshot import Snapshot, StillClock
 from roboneuron import Backend, Observation, RoboNeuronError
 from roboneuron.config import load_config
 from roboneuron.modules.plugin import build
@@ -105,7 +105,7 @@ class FailingGripper:
 
 
 class SimulatedCell:
-    """Follows `rn_tasks.runner.Cell`, by the clock of a stepped simulation."""
+    """Follows `rn_standard.tasks.runner.Cell`, by the clock of a stepped simulation."""
 
     def __init__(self, scene: CubesScene, backend: Backend, setup: Setup) -> None:
         self._scene, self._backend, self._setup = scene, backend, setup

@@ -71,7 +71,7 @@ class Late:
     def __init__(self, config: LateOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
         import numpy as np
 
-        from rn_execution.virtual_cell import Follower
+        from rn_standard.execution.virtual_cell import Follower
 
         self._options = config or LateOptions()
         self._random = np.random.default_rng(0)

@@ -14,10 +14,10 @@ from typing import Any
 from plugin_site import installed
 from shared_memory import repaired
 
-from rn_execution.plugin import FEATURE as EXECUTION
-from rn_selection.choosing import choose
-from rn_selection.requests import StartInference
-from rn_switching.standby import JOIN
+from rn_standard.execution.plugin import FEATURE as EXECUTION
+from rn_standard.selection.choosing import choose
+from rn_standard.selection.requests import StartInference
+from rn_standard.switching.standby import JOIN
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue

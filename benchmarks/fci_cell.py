@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from plugin_site import installed
 from soak_cell import Agent, until
 
+from rn_robot_fr3.fci.addresses import free_address
+from rn_robot_fr3.fci.box.control_box import ControlBox
 from rn_robot_fr3.fci.simulator import FrankaSim
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
@@ -109,11 +111,12 @@ class FciCell:
         link: a node of its own on the same graph.
         folder: where state, logs and the record are.
         server: process id.
+        box: the control box before franka-sim, in a cell that has one.
         refusal: what the newest `move` was refused or ended with.
     """
 
-    def __init__(self, agent: Agent, link: Any, sim: FrankaSim, folder: Path) -> None:
-        self.agent, self.link, self.folder = agent, link, folder
+    def __init__(self, agent: Agent, link: Any, sim: FrankaSim, folder: Path, box: ControlBox | None = None) -> None:
+        self.agent, self.link, self.folder, self.box = agent, link, folder, box
         self._sim = sim
         self.refusal = ""
         self.server = int(agent.do("get_status")["pid"])
@@ -180,9 +183,10 @@ def served_fci(
     options: Sequence[str] = STRICT,
     factor: float = 0.5,
     server_timeout_s: float = 1.0,
-    host: str = "127.0.0.1",
+    host: str | None = None,
     prefix: Sequence[str] = (),
     more: str = "",
+    with_box: bool = False,
 ) -> Iterator[FciCell]:
     """A cell in which only the server and the simulator run; all is ended.
 
@@ -193,13 +197,16 @@ def served_fci(
         server_timeout_s: of robot and control.
         host, prefix: where franka-sim serves, and what its command begins with, as in `FrankaSim`.
         more: more TOML.
+        with_box: put a `ControlBox` between driver and franka-sim; it is the cell's `box`.
     """
-    text = CONFIG.format(folder=folder, factor=factor, server_timeout_s=server_timeout_s, host=host, more=more)
-    path = folder / "roboneuron.toml"
-    path.write_text(text)
     options = (*options, "--no-gripper", "--record", str(folder / "record.bin"))
     sim = FrankaSim(PYTHON, seed=1, options=options, log=folder / "franka-sim.log", host=host, prefix=prefix)
-    with installed(folder, "rn-fci-cell", ("fci_plugin",)), sim:
+    box = ControlBox(free_address(1337, 1340), sim.host, folder / "box.log") if with_box else None
+    at = box.host if box else sim.host
+    text = CONFIG.format(folder=folder, factor=factor, server_timeout_s=server_timeout_s, host=at, more=more)
+    path = folder / "roboneuron.toml"
+    path.write_text(text)
+    with installed(folder, "rn-fci-cell", ("fci_plugin",)), sim, box or contextlib.nullcontext():
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
@@ -210,7 +217,7 @@ def served_fci(
         try:
             made = Client(server, read_timeout_seconds=180)
             with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
-                yield FciCell(Agent(client, portal), link, sim, folder)
+                yield FciCell(Agent(client, portal), link, sim, folder, box)
         finally:
             link.close()
 

@@ -116,7 +116,7 @@ class Limits:
             self.pairs |= {(p.first, p.second) for p in collisions.near(JointSample(names=ARM_JOINTS, position=q))}
 
     def print(self) -> int:
-        """Rows for docs/fr3.md; returns how many limits were exceeded."""
+        """Rows of the table; returns how many limits were exceeded."""
         facts = {
             f"nearest to a joint limit {self.room_rad:.4f} rad": self.room_rad < 0.0,
             f"least room to the velocity envelope {self.velocity_room_rad_s:.3f} rad/s": self.velocity_room_rad_s < 0.0,
@@ -178,7 +178,7 @@ def control_loop(path: Path, record: Record, began_s: float) -> Loop:
 
 
 def print_loops(loops: list[Loop]) -> None:
-    """Rows for docs/fr3.md."""
+    """Rows of the table."""
     period_ms = np.concatenate([loop.period_ms for loop in loops])
     runs = np.concatenate([loop.run_cycles for loop in loops])
     wide = np.concatenate([loop.run_is_wide for loop in loops])

@@ -74,6 +74,7 @@ BENCHMARKS = (
     Benchmark(script="bench_eval", quick=("--episodes", "2")),
     Benchmark(script="bench_interfaces", quick=("--repeat", "200")),
     Benchmark(script="bench_view", quick=("--seconds", "5")),
+    Benchmark(script="bench_full_ports", quick=("--trials", "3")),
 )
 
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, cast
 
-from rn_fastdds.feature import SharedMemoryRepair
-from rn_fastdds.plugin import FEATURE
+from rn_standard.fastdds.feature import SharedMemoryRepair
+from rn_standard.fastdds.plugin import FEATURE
 from roboneuron.supervisor.supervisor import Supervisor
 
 

@@ -149,6 +149,7 @@ def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report
             begun_s = time.monotonic()
             try:
                 said = work() or ""
+                cell.swing()
                 until(cell.is_well, MOVES_AGAIN_S, "everything works again")
                 ok = True
             except RuntimeError as error:

@@ -92,25 +92,39 @@ class Cell:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
+        # Perception that was frozen for long was ended and started again, which ends what was asked for.
+        until(lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again")
+        self.swing()
 
     def killed(self, kind: str, agent_starts: bool) -> None:
         """A process dies; perception comes back by itself, what moves the arm when the agent says so."""
         pid = self.pid(kind)
         os.kill(pid, signal.SIGKILL)
-        until(lambda: self.agent.modules()[kind]["pid"] != pid, 2.0, "it is noticed")
+        until(lambda: self.agent.modules()[kind].get("pid") != pid, 2.0, "it is noticed")
         until(self.witness.stands, 3.0, "the arm stands")
         if agent_starts:
             time.sleep(1.0)  # long enough for a restart that must not happen
             if self.agent.modules()[kind]["phase"] != "exited":
                 raise RuntimeError(f"{kind} came back by itself")
-            more = {"instruction": "swing"} if kind == "inference" else {}
-            self.agent.do(f"start_{kind}", **more)
+            self.agent.do(f"start_{kind}")
+        else:
+            until(lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again")
+        self.swing()
+
+    def swing(self) -> None:
+        """No restart, release or recovery starts motion; this does, where something has taken the instruction."""
+        inference = self.agent.modules()["inference"]
+        if inference["phase"] == "running" and not inference["instruction"]:
+            # A camera that has just come back has not reached the policy yet, which refuses instructions until then.
+            until(lambda: self.agent.modules()["inference"]["health"] != "failing", 20.0, "the policy has images again")
+            self.agent.do("set_instruction", instruction="swing")
 
     def stopped(self) -> None:
         """The emergency stop, and its reset."""
         self.agent.do("emergency_stop", reason="soak")
         until(self.witness.stands, 2.0, "the arm stands")
         self.agent.do("reset_emergency_stop")
+        self.swing()
 
     def faults(self) -> dict[str, Callable[[], None]]:
         """What can be done to it."""
@@ -148,7 +162,7 @@ class Cell:
         found: dict[tuple[str, str], float] = {}
         processes = {"server": self.server}
         for kind, module in self.agent.modules().items():
-            if module["phase"] == "running" and module["pid"]:
+            if module["phase"] == "running" and module.get("pid"):
                 with contextlib.suppress(psutil.NoSuchProcess):
                     processes[kind] = psutil.Process(module["pid"])
         for name, process in processes.items():

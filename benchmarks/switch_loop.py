@@ -15,10 +15,10 @@ from plugin_site import installed
 from shared_memory import repaired
 from switch_plugin import named_by
 
-from rn_execution.plugin import FEATURE as EXECUTION
-from rn_selection.choosing import choose
-from rn_selection.requests import StartInference
-from rn_switching.replacing import Switching
+from rn_standard.execution.plugin import FEATURE as EXECUTION
+from rn_standard.selection.choosing import choose
+from rn_standard.selection.requests import StartInference
+from rn_standard.switching.replacing import Switching
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from anyio.from_thread import start_blocking_portal
 
-from rn_console.client import spawned_server
-from roboneuron.gate.estop import FILE_NAME
+from rn_standard.console.client import spawned_server
+from roboneuron.gate.estop import ESTOP_FILE
 
 CONFIG = """
 [robot]
@@ -96,7 +96,7 @@ class Cell:
 
     def judge(self, clicked_s: float) -> Stop:
         """What happened after a click; waits until the joints are at rest."""
-        latch = self._state / FILE_NAME
+        latch = self._state / ESTOP_FILE
         self.wait_until(latch.exists, "the stop was not latched")
         self.wait_until(lambda: self._rest_s(clicked_s) is not None, "the arm does not stop")
         rest_s = self._rest_s(clicked_s)

@@ -17,7 +17,7 @@ from rn_testing.rules import RULES
 from roboneuron.cli.commands import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
-from roboneuron.plugins.specs import KINDS, CameraSpec, DriverSpec, Requirement, Spec
+from roboneuron.plugins.specs import PLUGIN_KINDS, CameraSpec, DriverSpec, Requirement, Spec
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
@@ -97,7 +97,7 @@ def methods(protocol: type) -> Iterator[str]:
 def section(kind: str) -> Iterator[str]:
     """The part of the page about one kind."""
     hook = getattr(hookspecs, hookspecs.HOOKS[kind])
-    spec = KINDS[kind]
+    spec = PLUGIN_KINDS[kind]
     yield f"## `{hook.__name__}() -> Sequence[{spec.__name__}]`\n"
     yield f"{inspect.getdoc(hook)}\n"
     yield f"### {spec.__name__}\n"

@@ -24,10 +24,10 @@ import anyio
 from mcp import Client
 from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
-from rn_console.client import spawned_server
 from rn_runs.store import Store
-from rn_serve_http.options import HttpOptions
-from rn_serve_http.tokens import TokenTable
+from rn_standard.console.client import spawned_server
+from rn_standard.http.options import HttpOptions
+from rn_standard.http.tokens import TokenTable
 from rn_testing.domain import free_ros_domain
 from rn_view.access import Admission, host_rules
 from rn_view.options import ViewOptions

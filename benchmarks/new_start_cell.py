@@ -1,0 +1,276 @@
+"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and ways to stop and go on."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from mcp import Client, StdioServerParameters
+from plugin_site import installed
+
+from roboneuron.gate.estop import ESTOP_FILE, RESET_SUFFIX
+from roboneuron.ros.environment import prepare_environment
+
+NAME = "fr3r"
+CONFIG = """
+[robot]
+name = "fr3r"
+[perception]
+source = "fr3r-camera"
+[inference]
+backend = "servo"
+instruction = "pick up the yellow cube"
+[control]
+controller = "urdf"
+[supervisor]
+state_directory = "{folder}/state"
+start_timeout_s = 90.0
+[server]
+reset_emergency_stop = "client"
+[ops]
+restart_backoff_s = 0.1
+restart_limit = 100
+restart_window_s = 1.0
+[ops.restart]
+robot = "{restart}"
+control = "{restart}"
+inference = "{restart}"
+[plugins.fr3r]
+engine = "{engine}"
+seed = {seed}
+fault_file = "{folder}/fault"
+"""
+KINDS = ("robot", "perception", "control", "inference")
+NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
+MOVED_RAD = 0.02
+"""A joint that is farther than this from where the arm came to rest has been moved: it sags by less than 0.002."""
+STILL_RAD_S = 0.02
+WATCH_S = 1.5
+BRAKE_S = 3.0
+
+
+class Witness:
+    """The joints of the simulation (7,) as its driver reads them, with the time of arrival [monotonic s]."""
+
+    def __init__(self, link: Any) -> None:
+        from sensor_msgs.msg import JointState  # heavy
+
+        from roboneuron.ros.qos import NEWEST  # heavy
+
+        self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
+        link.subscribe(JointState, f"/{NAME}/joint_states", self._on_state, NEWEST)
+
+    def _on_state(self, message: Any) -> None:
+        self.states.append((time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7])))
+
+    def is_still(self) -> bool:
+        """The last 0.3 s of states, which are recent, show no motion."""
+        now_s = time.monotonic()
+        recent = [np.abs(v).max() for at_s, _, v in self.states[-60:] if at_s > now_s - 0.3]
+        return len(recent) > 8 and max(recent) < STILL_RAD_S
+
+    def is_moving(self) -> bool:
+        """The newest state moves."""
+        return bool(self.states) and np.abs(self.states[-1][2]).max() > 3 * STILL_RAD_S
+
+    def moved_rad(self, since_s: float) -> float:
+        """Farthest that any joint got from where it was at that time [rad]; a new simulation begins anew."""
+        base, farthest, before_s = None, 0.0, since_s
+        for at_s, position, _ in self.states:
+            if at_s < since_s:
+                continue
+            if base is None or at_s - before_s > 1.0:  # silent meanwhile: another process, or one that was restarted
+                base = position
+            before_s = at_s
+            farthest = max(farthest, float(np.abs(position - base).max()))
+        return farthest
+
+
+class Cell:
+    """What sequences are made on; calls block."""
+
+    def __init__(self, client: Client, portal: BlockingPortal, witness: Witness, link: Any, folder: Path) -> None:
+        self._client, self._portal, self.folder = client, portal, folder
+        self.witness, self._link = witness, link
+        self._calls: list[threading.Thread] = []
+        self.answers: list[Any] = []
+
+    def ask(self, tool: str, **arguments: Any) -> Any:
+        """The answer, errors too."""
+        return self._portal.call(self._client.call_tool, tool, arguments)
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """Structured content; RuntimeError when it fails."""
+        answer = self.ask(tool, **arguments)
+        if answer.is_error:
+            raise RuntimeError(f"{tool}: {answer.content[0].text}")
+        return dict(answer.structured_content or {})
+
+    def modules(self) -> dict[str, dict[str, Any]]:
+        """get_status by module."""
+        return {module["module"]: module for module in self.do("get_status")["modules"]}
+
+    def later(self, tool: str, **arguments: Any) -> None:
+        """Call without waiting; the answer goes to `answers`."""
+
+        def call() -> None:
+            with contextlib.suppress(Exception):
+                self.answers.append((tool, self.ask(tool, **arguments)))
+
+        thread = threading.Thread(target=call, daemon=True)
+        self._calls.append(thread)
+        thread.start()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for calls under way, each for so long."""
+        for thread in self._calls:
+            thread.join(timeout_s)
+        self._calls.clear()
+
+    def until(self, fact: Callable[[], bool], within_s: float, what: str) -> None:
+        """Wait for a fact; RuntimeError when it does not come true."""
+        deadline_s = time.monotonic() + within_s
+        while not fact():
+            if time.monotonic() > deadline_s:
+                raise RuntimeError(f"not within {within_s:g} s: {what}")
+            time.sleep(0.02)
+
+    def kill(self, kind: str) -> None:
+        """SIGKILL to a module's process."""
+        pid = self.modules()[kind]["pid"]
+        if pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+    def press_topic(self) -> None:
+        """A node of the graph stops."""
+        from std_msgs.msg import Bool  # heavy
+
+        from roboneuron.ros.qos import NEWEST  # heavy
+
+        if not hasattr(self, "_topic"):
+            self._topic = self._link.advertise(Bool, f"/{NAME}/emergency_stop", NEWEST)
+            time.sleep(1.0)  # until it is discovered: what is sent to nobody is lost
+        self._topic(Bool(data=True))
+        self.until((self.folder / "state" / ESTOP_FILE).exists, 5.0, "the stop of the topic is latched")
+
+    def release_by_file(self) -> None:
+        """What `roboneuron estop --reset` does."""
+        latch = self.folder / "state" / ESTOP_FILE
+        os.replace(latch, latch.with_name(latch.name + RESET_SUFFIX))
+
+    def everything_runs(self) -> None:
+        """Start what does not run, as an agent does, without an instruction for the policy that was not there."""
+        for kind in KINDS:
+            deadline_s = time.monotonic() + 60.0
+            while (phase := self.modules()[kind]["phase"]) in ("starting", "stopping", "exited"):
+                time.sleep(0.2)  # a restart may be under way
+                if phase == "exited" and time.monotonic() > deadline_s - 55.0:
+                    break
+                if time.monotonic() > deadline_s:
+                    raise RuntimeError(f"{kind} stays {phase}")
+            if phase in ("stopped", "exited") and kind != "inference":
+                with contextlib.suppress(RuntimeError):  # restarted by itself meanwhile
+                    self.do(f"start_{kind}")
+
+
+STOPS = (
+    "estop_tool", "estop_topic", "estop_file", "estop_signal", "fault", "kill_robot", "kill_perception", "kill_control",
+    "kill_inference", "stop_perception", "stop_control", "stop_robot",
+)  # fmt: skip
+SWITCHES = ("switch_inference", "switch_control", "switch_perception", "switch_inference_cold")
+STARTS = ("set_instruction", "run_task", "start_inference")
+
+
+def start(cell: Cell, how: str, instruction: str) -> None:
+    """Ask for motion."""
+    running = cell.modules()["inference"]["phase"] == "running"
+    if how == "run_task":
+        cell.later("run_task", instruction=instruction, until=NEVER, max_s=60, max_attempts=1)
+    elif running and how == "set_instruction":
+        cell.do("set_instruction", instruction=instruction)
+    else:
+        if running:
+            cell.do("stop_inference")
+        cell.do("start_inference", instruction=instruction)
+
+
+def stop(cell: Cell, how: str) -> None:
+    """Stop motion."""
+    if how == "estop_tool":
+        cell.ask("emergency_stop", reason="random sequence")
+    elif how == "estop_topic":
+        cell.press_topic()
+    elif how == "estop_file":
+        (cell.folder / "state" / ESTOP_FILE).touch()
+    elif how == "estop_signal":
+        os.kill(cell.do("get_status")["pid"], signal.SIGUSR1)
+    elif how == "fault":
+        (cell.folder / "fault").touch()
+    elif how.startswith("kill_"):
+        cell.kill(how.removeprefix("kill_"))
+    else:
+        cell.ask(how)
+
+
+def go_on(cell: Cell, draw: random.Random) -> list[str]:
+    """Release, recover and restart whatever is stopped; nothing of it is a start of motion."""
+    done = []
+    if (cell.folder / "state" / ESTOP_FILE).exists():
+        if draw.random() < 0.5:
+            cell.do("reset_emergency_stop")
+            done.append("reset by tool")
+        else:
+            cell.release_by_file()
+            done.append("reset by file")
+    if (cell.folder / "fault").exists():
+        (cell.folder / "fault").unlink()
+    for _ in range(2):
+        answer = cell.ask("recover_robot") if cell.modules()["robot"]["phase"] == "running" else None
+        if answer is not None and not answer.is_error:
+            done.append("recovered")
+    cell.everything_runs()
+    if draw.random() < 0.5:
+        how = draw.choice(SWITCHES)
+        mode = "cold" if how.endswith("_cold") else "warm"
+        answer = cell.ask(how.removesuffix("_cold"), mode=mode)
+        done.append(f"{how}{' refused' if answer.is_error else ''}")
+    return done
+
+
+@contextlib.contextmanager
+def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[Cell]:
+    """A server with everything running and no instruction; all is ended."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "roboneuron.toml"
+    path.write_text(CONFIG.format(folder=folder, engine=engine, restart=restart, seed=seed))
+    with installed(folder, "new-start", ("new_start_plugin",)):
+        prepare_environment(folder / "log")
+        from roboneuron.ros.link import RosLink  # heavy
+
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+        link = RosLink("witness")
+        link.open()
+        try:
+            witness = Witness(link)
+            with contextlib.ExitStack() as stack:
+                log = stack.enter_context((folder / "server.log").open("a"))
+                from mcp.client.stdio import stdio_client  # heavy
+
+                made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
+                portal = stack.enter_context(start_blocking_portal())
+                client = stack.enter_context(portal.wrap_async_context_manager(made))
+                yield Cell(client, portal, witness, link, folder)
+        finally:
+            link.close()

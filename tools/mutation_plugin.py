@@ -1,0 +1,18 @@
+"""Plugin of the pytest that tools/mutations.py runs, in the place of the repository's conftest.py."""
+
+from __future__ import annotations
+
+
+def pytest_collection() -> None:
+    """Try the same examples of a property for every mutant, and end at the first that fails: nobody reads it."""
+    from hypothesis import HealthCheck, Phase, settings  # later than pytest's own plugins, which pytest rewrites
+
+    settings.register_profile(
+        "mutations",
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+        database=None,
+        derandomize=True,
+        phases=(Phase.explicit, Phase.generate),
+    )
+    settings.load_profile("mutations")

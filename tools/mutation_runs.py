@@ -1,0 +1,74 @@
+"""How mutmut runs the tests of a mutant: in which order, and how long."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import psutil
+from mutmut.state import state
+from mutmut.workers import isolation
+
+_QUICK_S = 0.2
+_LOOK_S = 0.5
+_MOST_SLEEP_S = 20.0
+
+
+def install(folders: Sequence[str]) -> None:
+    """Have quick tests run first, those of the first folder before others, and mutants bounded by `_end_sleeper`.
+
+    The first test that fails ends a mutant's run. Computing is bounded by mutmut with RLIMIT_CPU; its limit by the
+    clock, which a busy machine exceeds, is replaced.
+    """
+    submit = isolation.ForkServerRunner.submit
+
+    def submit_in_order(
+        self: isolation.ForkServerRunner, mutant: str, tests: list[str], limit_s: int, estimate_s: float
+    ) -> None:
+        durations_s = state().duration_by_test
+
+        def place(test: str) -> tuple[bool, int, str]:
+            folder = next((number for number, name in enumerate(folders) if test.startswith(name)), len(folders))
+            return durations_s.get(test, 0.0) > _QUICK_S, folder, test
+
+        submit(self, mutant, sorted(tests, key=place), limit_s, estimate_s)
+
+    isolation.ForkServerRunner.submit = submit_in_order
+    isolation.register_timeout = _watch
+
+
+def _watch(process: int, _limit_s: float) -> None:
+    threading.Thread(target=_end_sleeper, args=(process,), daemon=True).start()
+
+
+def _end_sleeper(process: int) -> None:
+    """End a mutant's process when it and its children have slept for `_MOST_SLEEP_S`, all looks taken together."""
+    slept_s = 0.0
+    while slept_s < _MOST_SLEEP_S:
+        time.sleep(_LOOK_S)
+        try:
+            found = psutil.Process(process)
+            states = [state for one in (found, *found.children(recursive=True)) for state in _thread_states(one.pid)]
+        except psutil.Error:
+            return
+        if not states or "Z" in states[:1]:
+            return
+        slept_s += _LOOK_S if set(states) <= set("SZ") else 0.0
+    for child in found.children(recursive=True):
+        child.kill()
+    os.kill(process, signal.SIGXCPU)
+
+
+def _thread_states(process: int) -> list[str]:
+    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z has ended."""
+    states = []
+    for path in Path(f"/proc/{process}/task").glob("*/stat"):
+        try:
+            states.append(path.read_text("utf-8", "replace").rpartition(")")[2].split()[0])
+        except OSError:  # it has ended
+            continue
+    return states

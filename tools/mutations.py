@@ -1,0 +1,372 @@
+"""Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it changes?
+
+    make test-mutations                                  # every part; goes on where it was
+    make test-mutations ARGS="gate --only estop"         # mutants with "estop" in their names, tried again
+    make test-mutations ARGS="direct-path --list"        # what is known so far, with the survivors; runs nothing
+
+mutmut makes the mutants, picks the tests by what they call and forks for each mutant; tools/mutation_operators.py says
+which mutants count. A mutant is killed by time when it computes for 12 s and six times what its tests take otherwise,
+or sleeps for 20 s: a busy machine kills none.
+Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test could notice it, or
+`accepted`, which still counts as survived. The lane fails for one that is not listed, and for a part below 95 % of the
+mutants that are not equivalent.
+
+Results are kept in out/mutations/PART. A function that changes is tried again, and when a test changes everything that
+was not killed; `--fresh` tries everything again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tomllib
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import mutation_operators
+from mutmut.mutation.data import MutantLineSpans, SourceFileMutationData
+from mutmut.stats import status_by_exit_code
+
+from rn_testing.domain import free_ros_domain
+
+ROOT = Path(__file__).resolve().parents[1]
+OUT = ROOT / "out" / "mutations"
+SURVIVORS = ROOT / "tools" / "mutation_survivors.toml"
+LEAST_PERCENT = 95.0
+NOT_RUN = 255
+"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls it a timeout."""
+UNKNOWN = ("not checked", "check was interrupted by user")
+CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
+CORE_TESTS = ("roboneuron-core/tests/gate", "roboneuron-core/tests/modules", "roboneuron-core/tests/supervisor")
+DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
+ARM_TESTS = (
+    *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
+    "tests/safety/test_an_arm_that_was_held_up_catches_up_nothing.py",
+    "tests/safety/test_fr3_brakes_before_its_limits.py",
+    "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
+)
+CONFTESTS = ("roboneuron-core/tests/conftest.py", "tests/conftest.py", "tests/safety/conftest.py")
+MARKERS = "not ros and not timing and not slow and not gpu and not hardware and not release"
+LEFT_OUT = (
+    # Contract tests read the sources, which here are full of mutants.
+    "*_keep*_contract.py",
+    # Seconds each, beside faster ones of the same subject.
+    "test_no_permitted_motion_penetrates_anything",
+    "test_nothing_that_passes_meets_a_zone",
+    "test_a_reset_by_another_process_races_with_nobody_who_looks",
+    "test_what_is_written_is_read",
+)
+"""Files and tests that are not run."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """A part of the code.
+
+    Attributes:
+        package: its folder, from the repository's root.
+        files: what is mutated, from the package; a pattern takes in what it matches.
+        tests: folders and files of tests, from the repository's root.
+    """
+
+    package: str
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+PARTS = {
+    "gate": Part(
+        package=CORE,
+        files=("gate/motion/*.py", "gate/estop.py", "gate/audit.py", "gate/pin.py"),
+        tests=(*CORE_TESTS, *DIRECT_TESTS, *ARM_TESTS),
+    ),
+    "modules": Part(
+        package=CORE,
+        files=("modules/control.py", "modules/motion.py", "modules/robot.py"),
+        tests=(*CORE_TESTS, *ARM_TESTS),
+    ),
+    "supervisor": Part(package=CORE, files=("supervisor/process.py",), tests=CORE_TESTS),
+    "direct-path": Part(
+        package=STANDARD,
+        files=tuple(
+            f"direct_path/{name}.py"
+            for name in (
+                *("gate", "motion_gate", "limits", "path_limits", "rate"),
+                *("arbiter", "allow_list", "speeds", "twists", "joints"),
+            )
+        ),
+        tests=(*DIRECT_TESTS, *ARM_TESTS),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mutant:
+    """One mutant.
+
+    Attributes:
+        file: from the package.
+        function: its name, with the class.
+        change: the line before and after; numbered when the function has the same change twice.
+        status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or "not run".
+    """
+
+    file: str
+    function: str
+    change: str
+    status: str
+
+    @property
+    def is_killed(self) -> bool:
+        """Whether a test noticed it, or would have waited for it for ever."""
+        return self.status in ("killed", "timeout", "segfault", "suspicious")
+
+
+def main() -> int:
+    """Run the parts that the arguments name, and print figures; 1 when the lane fails."""
+    arguments = _parse_arguments()
+    is_good = True
+    for name in arguments.parts or PARTS:
+        part, work = PARTS[name], OUT / name
+        if arguments.list is False:
+            _run_in_a_fork(part, work, arguments)
+        is_good &= _report(name, list(_read_mutants(part, work)))
+    return 0 if is_good else 1
+
+
+def _parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"one or more of {', '.join(PARTS)}; default: all")
+    parser.add_argument("--only", default="", help="try again the mutants with this in file, class or function")
+    parser.add_argument("--fresh", action="store_true", help="forget what is known")
+    parser.add_argument("--list", action="store_true", help="only print what is known")
+    arguments = parser.parse_args()
+    for name in arguments.parts:
+        if name not in PARTS:
+            parser.error(f"no part {name!r}; there are {', '.join(PARTS)}")
+    return arguments
+
+
+def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> None:
+    """mutmut keeps its state in its modules and changes directory: each part has a process of its own."""
+    process = os.fork()
+    if process:
+        status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+        if status:
+            sys.exit(f"The mutants could not be tried (exit status {status}); see {OUT}/{work.name}.log.")
+        return
+    status = 1
+    try:
+        if not sys.stdout.isatty():  # mutmut draws its progress
+            OUT.mkdir(parents=True, exist_ok=True)
+            with (OUT / f"{work.name}.log").open("w") as log:
+                os.dup2(log.fileno(), sys.stdout.fileno())
+        _prepare(part, work, is_fresh=arguments.fresh)
+        os.chdir(work)
+        import mutation_runs
+        from mutmut.__main__ import _run  # reads the settings of the directory where it is imported
+
+        mutation_operators.install()
+        mutation_runs.install(part.tests)
+        _run((f"*{arguments.only}*",) if arguments.only else (), 1)
+        status = 0
+    except SystemExit as error:
+        status = error.code if isinstance(error.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
+    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in it, and the tests."""
+    rules = f"{metadata.version('mutmut')} {_digest([Path(mutation_operators.__file__)])}"
+    if is_fresh or _read_text(work / "rules") != rules:
+        shutil.rmtree(work, ignore_errors=True)
+    sources = ROOT / part.package
+    tests = [path for name in part.tests for path in _files(ROOT / name)]
+    for path in sorted(sources.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            _write_changed(work / "src" / sources.name / path.relative_to(sources), _source(part, path))
+    mutants = work / "mutants"
+    for folder in (*part.tests, *CONFTESTS):
+        target = mutants / folder
+        if (ROOT / folder).is_file():
+            _write_changed(target, (ROOT / folder).read_bytes())
+        else:
+            shutil.rmtree(target, ignore_errors=True)
+            shutil.copytree(ROOT / folder, target, ignore=shutil.ignore_patterns("__pycache__"))
+    settings_text = (ROOT / "pyproject.toml").read_text("utf-8") + _settings(part)
+    _write_changed(work / "pyproject.toml", settings_text.encode())
+    _forget_survivors(part, work, _digest([*tests, *(ROOT / name for name in CONFTESTS)]))
+    (work / "rules").write_text(rules, "utf-8")
+    os.environ["PYTHONPATH"] = str(mutants / "src")  # processes that a test starts have the mutant too
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
+    os.environ["ROBONEURON_RECORDER"] = "off"
+
+
+def _settings(part: Part) -> str:
+    package = Path(part.package).name
+    folders = [name for name in LEFT_OUT if name.endswith(".py")]
+    words = [name for name in LEFT_OUT if not name.endswith(".py")]
+    settings_of_mutmut = {
+        "source_paths": ["src"],
+        "only_mutate": [f"src/{package}/{file}" for file in part.files],
+        "pytest_add_cli_args_test_selection": list(part.tests),
+        "pytest_add_cli_args": [
+            *("-m", MARKERS, "-k", " and ".join(f"not {word}" for word in words)),
+            *(f"--ignore-glob=*/{name}" for name in folders),
+            *("-p", "mutation_plugin", "-p", "no:cacheprovider"),
+            *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # pytest starts again in every process
+        ],
+        "process_isolation": "forkserver",
+        "timeout_constant": 2.0,
+        "timeout_multiplier": 3.0,  # of the time on the clock; of computing it allows twice that
+        "on_dependency_change": "ignore",
+        "use_git_change_detection": False,
+    }
+    lines = (f"{key} = {json.dumps(value)}" for key, value in settings_of_mutmut.items())
+    return "\n[tool.mutmut]\n" + "\n".join(lines) + "\n"
+
+
+def _source(part: Part, path: Path) -> bytes:
+    inside = path.relative_to(ROOT / part.package)
+    if any(inside.match(pattern) and len(inside.parts) == len(Path(pattern).parts) for pattern in part.files):
+        return mutation_operators.unwrap_decorators(path.read_text("utf-8")).encode()
+    return path.read_bytes()
+
+
+def _forget_survivors(part: Part, work: Path, tests: str) -> None:
+    """Have everything that was not killed tried again, when a test has changed."""
+    if _read_text(work / "tests") == tests:
+        return
+    (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
+    for meta in (work / "mutants" / "src").rglob("*.py.meta"):
+        known = json.loads(meta.read_text("utf-8"))
+        results = known["exit_code_by_key"]
+        known["exit_code_by_key"] = {key: code if code == 1 else None for key, code in results.items()}
+        meta.write_text(json.dumps(known), "utf-8")
+    (work / "tests").write_text(tests, "utf-8")
+
+
+def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
+    """What is known of a part."""
+    if not (work / "mutants").is_dir():
+        return
+    os.chdir(work)
+    package = Path("src") / Path(part.package).name
+    for meta in sorted((work / "mutants" / package).rglob("*.py.meta")):
+        path = package / meta.relative_to(work / "mutants" / package).with_suffix("")
+        data = SourceFileMutationData(path=path)
+        data.load()
+        spans = MutantLineSpans.load(path)
+        if spans is None:
+            continue
+        changes = Counter[tuple[str, str]]()
+        for key, code in data.exit_code_by_key.items():
+            name = key.rpartition(".")[2]
+            base = name.rpartition("__mutmut_")[0]
+            before, after = spans.read_function_sources([f"{base}__mutmut_orig", name])
+            before, after = before.replace(f"{base}__mutmut_orig", base, 1), after.replace(name, base, 1)
+            function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
+            change = _change(before, after)
+            changes[function, change] += 1
+            number = changes[function, change]
+            yield Mutant(
+                file=str(path.relative_to(package)),
+                function=function,
+                change=change if number == 1 else f"{change} [{number}]",
+                status="not run" if code == NOT_RUN else status_by_exit_code[code],
+            )
+
+
+def _change(before: str, after: str) -> str:
+    """The changed lines of a function, each without its indentation: `before -> after`."""
+    lines = list(difflib.ndiff(before.splitlines(), after.splitlines()))
+    lost = " ".join(line[2:].strip() for line in lines if line.startswith("- "))
+    came = " ".join(line[2:].strip() for line in lines if line.startswith("+ "))
+    return f"{lost} -> {came}"
+
+
+def _report(name: str, mutants: list[Mutant]) -> bool:
+    """Print a part's figures and its survivors; whether the part is as it must be."""
+    listed = _listed(name)
+    print(
+        f"\n{name:32}{'mutants':>9}{'killed':>8}{'by time':>9}{'survived':>10}{'no test':>9}{'equivalent':>12}{'%':>8}"
+    )
+    files = sorted({mutant.file for mutant in mutants})
+    for file in files:
+        _print_row(file, [mutant for mutant in mutants if mutant.file == file], listed)
+    percent = _print_row("all", mutants, listed)
+    left = [mutant for mutant in mutants if not mutant.is_killed]
+    unlisted = [mutant for mutant in left if (mutant.file, mutant.function, mutant.change) not in listed]
+    for mutant in unlisted:
+        if mutant.status in UNKNOWN:
+            continue
+        print(f"{mutant.file}: {mutant.function}: {mutant.change}  ({mutant.status})")
+    known = {(mutant.file, mutant.function, mutant.change) for mutant in left}
+    for file, function, change in sorted(set(listed) - known):
+        print(f"listed, but it does not survive: {file}: {function}: {change}")
+    print(f"{name}: {percent:.1f} % of what is not equivalent, at least {LEAST_PERCENT:g} %; {len(unlisted)} unlisted")
+    return bool(mutants) and not unlisted and percent >= LEAST_PERCENT
+
+
+def _print_row(title: str, mutants: list[Mutant], listed: dict[tuple[str, str, str], str]) -> float:
+    statuses = Counter(mutant.status for mutant in mutants)
+    equivalent = sum(
+        listed.get((mutant.file, mutant.function, mutant.change)) == "equivalent" and not mutant.is_killed
+        for mutant in mutants
+    )
+    killed = sum(mutant.is_killed for mutant in mutants)
+    percent = 100.0 * killed / max(1, len(mutants) - equivalent)
+    unknown = sum(statuses[status] for status in UNKNOWN)
+    print(
+        f"  {title:30}{len(mutants):9}{killed:8}{statuses['timeout']:9}{statuses['survived']:10}"
+        f"{statuses['no tests']:9}{equivalent:12}{percent:8.1f}" + (f"  ({unknown} not tried)" if unknown else "")
+    )
+    return percent
+
+
+def _listed(part: str) -> dict[tuple[str, str, str], str]:
+    """Listed survivors of a part: file, function and change; "equivalent" or "accepted"."""
+    entries = tomllib.loads(_read_text(SURVIVORS)).get("survivor", [])
+    for entry in entries:
+        if entry["kind"] not in ("equivalent", "accepted") or not entry["reason"]:
+            sys.exit(
+                f"{SURVIVORS.name}: kind {entry['kind']!r} of {entry['function']} is neither, or no reason is given."
+            )
+    return {(e["file"], e["function"], e["change"]): e["kind"] for e in entries if e["part"] == part}
+
+
+def _files(place: Path) -> list[Path]:
+    return sorted(place.rglob("*.py")) if place.is_dir() else [place]
+
+
+def _write_changed(path: Path, content: bytes) -> None:
+    """Write a file unless it has that content: mutmut goes by the time of change."""
+    if not path.is_file() or path.read_bytes() != content:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def _read_text(path: Path) -> str:
+    return path.read_text("utf-8") if path.is_file() else ""
+
+
+def _digest(paths: list[Path]) -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
