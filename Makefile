@@ -12,24 +12,27 @@ install = @printf '  %-52s ' '$(1)'; begun=$$(date +%s); \
   else echo failed; cat $(VENV)/.pip.log; exit 1; fi
 PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
+# Many of these tests wait for something, so more of them than cores run at a time.
+UNIT_JOBS ?= 4
 N ?= 50
 LEROBOT_PYTHON ?= python3.12
 
-DEMO_PACKAGES := roboneuron-core plugins/rn-robot-fr3 plugins/rn-simulation plugins/rn-controller-urdf \
-  plugins/rn-backend-servo plugins/rn-demo plugins/rn-console plugins/rn-fastdds plugins/rn-ops plugins/rn-selection plugins/rn-switching \
-  plugins/rn-direct-path plugins/rn-tools-ros plugins/rn-tools-arm plugins/rn-tools-inspect plugins/rn-execution
-FLEET_PACKAGES := plugins/rn-fleet plugins/rn-robot-bases plugins/rn-tasks
+DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
+FLEET_PACKAGES := plugins/rn-robot-bases
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
-ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*))
-# These compile ROS 2 types and need a C++ compiler; without one the rest works, and their tests are skipped.
-COMPILED := plugins/rn-interfaces-control plugins/rn-driver-ros2control
+ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
+# It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
+COMPILED := plugins/rn-driver-ros2control
 comma := ,
+# Packages whose results are numbers of a network.
+MODEL_TESTS := $(wildcard plugins/rn-vla/tests plugins/rn-runtime-*/tests plugins/rn-backend-*/tests \
+  plugins/rn-accel-*/tests plugins/rn-policy-*/tests)
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
   $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
-PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt
+PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt requirements.txt
 
 .PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
 
@@ -45,16 +48,20 @@ demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim/.ready ## the same with the driver of t
 
 test-fr3: $(VENV)/.develop .venv-fr3sim/.ready ## the driver of the real arm against franka-sim
 	$(BIN)/python -m pytest plugins/rn-robot-fr3/tests/test_fci_driver_moves_franka_sim.py \
+	  plugins/rn-robot-fr3/tests/test_fci_driver_behind_a_strict_box.py \
 	  tests/safety/test_fci_arm_stops_when_something_is_lost.py $(ARGS)
 
 test-view: $(VENV)/.develop ## the live view in a headless Chromium (Debian: apt-get install chromium)
 	$(BIN)/python -m pytest plugins/rn-view/tests $(ARGS)
 
-bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints the tables of docs/fr3.md
+bench-fci: $(VENV)/.develop .venv-fr3sim/.ready ## accuracy, stopping and load of that driver; prints tables
 	$(BIN)/python benchmarks/bench_fci.py $(ARGS)
 
 bench-fci-loop: $(VENV)/.develop .venv-fr3sim/.ready ## a policy with warm switches, random actions; goes on where it was: --minutes 30 --busy 0,8
 	$(BIN)/python benchmarks/bench_fci_loop.py $(ARGS)
+
+bench-fci-box: $(VENV)/.develop .venv-fr3sim/.ready ## a policy through a strict control box that loses packets, each command judged; goes on where it was: --minutes 60
+	$(BIN)/python benchmarks/bench_fci_box.py $(ARGS)
 
 bench-fci-stops: $(VENV)/.develop .venv-fr3sim/.ready ## the emergency stop of that arm by tool, topic and file; goes on where it was: --trials 100
 	$(BIN)/python benchmarks/bench_fci_stops.py $(ARGS)
@@ -98,7 +105,7 @@ LIBERO_openvla := --backend openvla --checkpoint $(LIBERO_OUT)/tiny-openvla --op
 
 .venv-libero: .venv-libero/.ready
 
-.venv-libero/.ready: plugins/rn-eval-libero/simulator-requirements.txt
+.venv-libero/.ready: plugins/rn-eval/simulator-requirements.txt
 	@echo "Setting up .venv-libero, the LIBERO simulator (once, about five minutes, 2.1 GB) ..."
 	$(LIBERO_PYTHON) -m venv .venv-libero
 	.venv-libero/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
@@ -114,7 +121,7 @@ eval-libero: $(VENV)/.develop .venv-libero/.ready ## one episode of each of LIBE
 	  $(LIBERO_SUITES:%=$(LIBERO_OUT)/$(policy)/%) --paper-table$(newline))
 
 test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of the LIBERO simulator against those of the public scripts
-	$(BIN)/python -m pytest plugins/rn-eval-libero $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-eval/tests/libero $(ARGS)
 
 test-eval-kills: $(VENV)/.develop ## 50 random kills of an evaluation's workers, command and Ray: no episode lost, none twice
 	$(BIN)/python -m pytest plugins/rn-eval/tests/test_workers_share_a_run.py -s -k kills_of_workers $(ARGS)
@@ -154,13 +161,29 @@ demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arm
 
 test: test-units test-ros ## the default test suite
 
-test-units: $(VENV)/.develop ## its tests without ROS processes, JOBS at a time
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not ros and not gpu and not hardware and not slow" $(ARGS)
+test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a time
+	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal \
+	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
 
 test-ros: $(VENV)/.develop ## its tests with ROS processes, JOBS at a time, then those that keep time, alone
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder \
 	  -m "ros and not timing and not gpu and not hardware and not slow" $(ARGS)
 	$(BIN)/python -m pytest -m "ros and timing and not gpu and not hardware and not slow" $(ARGS)
+
+test-isa: $(VENV)/.develop ## the models' tests with the instructions of an old processor: no number may depend on it
+	ATEN_CPU_CAPABILITY=default ONEDNN_MAX_CPU_ISA=SSE41 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal \
+	  -m "not ros and not gpu and not hardware and not slow" -k "not memory-bounded" $(MODEL_TESTS) $(ARGS)
+
+test-mutations: $(VENV)/.mutations ## mutants of the safety code against its unit tests; goes on where it was: ARGS="gate --only estop"
+	$(BIN)/python tools/mutations.py $(ARGS)
+
+test-release: $(VENV)/.develop ## every package as a wheel: what it holds, and whether it works without the sources
+	$(BIN)/python -m pytest -n $(JOBS) -m release $(ARGS)
+
+wheels: $(VENV)/.develop ## build a wheel of every package into out/wheels
+	rm -rf out/wheels
+	for folder in $(ALL_PACKAGES); do \
+	  (cd $$folder && $(CURDIR)/$(BIN)/python -m hatchling build -t wheel -d $(CURDIR)/out/wheels) || exit 1; done
 
 test-all: $(VENV)/.develop ## the default suite and the slow tests
 	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)
@@ -229,7 +252,7 @@ $(VENV)/.demo: $(PROJECTS) | $(BIN)/python
 	@touch $@
 
 $(VENV)/.demo-fr3: $(VENV)/.demo
-	$(call install,client of the FCI,--constraint constraints.txt franky-control)
+	$(call install,clients of the FCI,--constraint constraints.txt 'pylibfranka; python_version < "3.13"' ruckig franky-control)
 	@touch $@
 
 $(VENV)/.demo-learned: $(VENV)/.demo
@@ -240,12 +263,12 @@ $(VENV)/.demo-learned: $(VENV)/.demo
 $(VENV)/.demo-bases: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) for the bases:"
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
-	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-robot-bases --editable plugins/rn-simulation --editable plugins/rn-tools-ros \
-	  --editable plugins/rn-direct-path --editable plugins/rn-fleet)
+	$(call install,simulated bases,--constraint constraints.txt --editable plugins/rn-standard \
+	  --editable plugins/rn-simulation --editable plugins/rn-robot-bases)
 	@touch $@
 
 $(VENV)/.demo-fleet: $(VENV)/.demo
-	$(call install,bases$(comma) fleet$(comma) tasks,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
+	$(call install,bases,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
 	@touch $@
 
 $(VENV)/.docs: constraints.txt | $(BIN)/python
@@ -253,7 +276,7 @@ $(VENV)/.docs: constraints.txt | $(BIN)/python
 	@touch $@
 
 # torch first and by itself: with anything else on the line pip may pick a build with gigabytes of CUDA packages.
-$(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
+$(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	@echo "Setting up $(VENV) with every plugin and the development tools (once, about four minutes):"
 	$(call install,PyTorch,torch==2.13.0)
 	$(call install,core$(comma) ROS 2 and MCP,--constraint constraints.txt --editable roboneuron-core)
@@ -261,5 +284,9 @@ $(VENV)/.develop: $(PROJECTS) pyproject.toml | $(BIN)/python
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
-	  ros-jazzy-test-msgs transformers mujoco franky-control playwright rosbags)
+	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet
+
+$(VENV)/.mutations: $(VENV)/.develop
+	$(call install,mutation tests,--constraint constraints.txt mutmut)
+	@touch $@

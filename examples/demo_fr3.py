@@ -14,6 +14,8 @@ from pathlib import Path
 from rn_robot_fr3.fci.simulator import FrankaSim
 
 CONFIG = Path(__file__).with_name("fr3_fci.toml")
+PLACE = "127.0.0.1"
+"""In the configuration; each demo has an address of its own, so that several run on one machine."""
 
 
 def main() -> int:
@@ -24,9 +26,11 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("out/demo-fr3"))
     arguments, more = parser.parse_known_args()
     seed = random.SystemRandom().randrange(10_000) if arguments.scene is None else arguments.scene
-    with FrankaSim(arguments.python, seed=seed, log=arguments.output / "franka-sim.log"):
-        print(f"franka-sim: scene {seed}, FCI protocol 10 on 127.0.0.1", flush=True)
-        command = [sys.executable, "-m", "roboneuron.cli.main", "demo", "--config", str(CONFIG)]
+    with FrankaSim(arguments.python, seed=seed, log=arguments.output / "franka-sim.log") as sim:
+        print(f"franka-sim: scene {seed}, FCI protocol 10 on {sim.host}", flush=True)
+        config = arguments.output / "fr3_fci.toml"
+        config.write_text(CONFIG.read_text(encoding="utf-8").replace(PLACE, sim.host), encoding="utf-8")
+        command = [sys.executable, "-m", "roboneuron.cli.main", "demo", "--config", str(config)]
         return subprocess.run([*command, "--output", str(arguments.output), *more], check=False).returncode
 
 

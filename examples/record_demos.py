@@ -208,6 +208,8 @@ def main() -> int:
     runner.close()
     written = export(runs, arguments.out / "lerobot", outcome="success", fps=None, codec=arguments.codec)
     print(f"{arguments.out / 'lerobot'}: {written.episodes} episodes, {written.frames} frames at {written.fps} Hz")
+    for left in written.skipped:
+        print(f"Left out: {left}.")
     return 0 if good == arguments.n else 1
 
 
